@@ -1,0 +1,100 @@
+"""Progress of long work, shown on standard error with the time left."""
+
+import sys
+import time
+from types import TracebackType
+from typing import Self, TextIO
+
+__all__ = ["Progress"]
+
+_SECONDS_BETWEEN_LINES = 5.0
+
+
+class Progress:
+    """Show how far a piece of work has come.
+
+    On a terminal this is one line that is redrawn; in a log it is a new line every few seconds.
+    Standard output is never touched. Use it as a context manager.
+
+    Parameters
+    ----------
+    title : str
+        What is being done, such as ``"solving smile-closed"``.
+    total : float
+        The amount of work, in any unit.
+    quiet : bool
+        Show nothing at all.
+    stream : file, optional
+        Where to write; standard error by default.
+
+    Examples
+    --------
+    >>> with Progress("counting", total=3, quiet=True) as progress:
+    ...     for count in range(3):
+    ...         progress.update(count + 1, f"at {count}")
+    """
+
+    def __init__(
+        self, title: str, total: float = 1.0, quiet: bool = False, stream: TextIO | None = None
+    ) -> None:
+        self.title = title
+        self.total = total
+        self.quiet = quiet
+        self._stream = sys.stderr if stream is None else stream
+        self._terminal = not quiet and self._stream.isatty()
+        self._started = self._shown = time.monotonic()
+        self._width = 0
+
+    def update(self, done: float, message: str = "") -> None:
+        """Say how much of the work is done.
+
+        Parameters
+        ----------
+        done : float
+            Work done so far, in the unit of `total`.
+        message : str
+            A few words on what happens now.
+        """
+        now = time.monotonic()
+        pause = 0.1 if self._terminal else _SECONDS_BETWEEN_LINES
+        if self.quiet or (now - self._shown < pause and done < self.total):
+            return
+        self._shown = now
+        elapsed = now - self._started
+        share = min(max(done / self.total, 0.0), 1.0) if self.total > 0 else 1.0
+        parts = [f"{self.title} {share:4.0%}"]
+        if message:
+            parts.append(message)
+        if 0.0 < share < 1.0:
+            parts.append(f"{_duration(elapsed * (1.0 - share) / share)} left")
+        elif share == 1.0:
+            parts.append(_duration(elapsed))
+        self._write(" · ".join(parts))
+
+    def _write(self, line: str) -> None:
+        if self._terminal:
+            self._stream.write("\r" + line.ljust(self._width))
+            self._width = len(line)
+        else:
+            self._stream.write(line + "\n")
+        self._stream.flush()
+
+    def __enter__(self) -> Self:
+        self._started = self._shown = time.monotonic()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._width:
+            self._stream.write("\n")
+            self._stream.flush()
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60.0:
+        return f"{seconds:.0f} s"
+    return f"{int(seconds // 60)} min {int(seconds % 60):02d} s"
