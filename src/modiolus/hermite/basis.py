@@ -1,0 +1,78 @@
+"""Cubic Hermite basis functions on the unit interval, square and cube.
+
+The local functions of an element of dimension ``d`` are numbered
+``corner * 2**d + derivative``. Bit ``k`` of ``corner`` is the side (0 or 1) in
+direction ``xi_k``; bit ``k`` of ``derivative`` says whether the function carries
+the derivative in that direction. For ``d = 3`` a corner thus has the order value,
+d1, d2, d12, d3, d13, d23, d123.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+#: Power-basis coefficients ``[side, derivative, power]`` of the four functions.
+COEFFICIENTS: Array = np.array(
+    [
+        [[1.0, 0.0, -3.0, 2.0], [0.0, 1.0, -2.0, 1.0]],
+        [[0.0, 0.0, 3.0, -2.0], [0.0, 0.0, -1.0, 1.0]],
+    ]
+)
+
+
+def basis_1d(xi: ArrayLike, derivative: int = 0) -> Array:
+    """Evaluate the four cubic Hermite functions of one variable.
+
+    Parameters
+    ----------
+    xi : (n,) array
+        Local coordinates in [0, 1].
+    derivative : int
+        Order of differentiation.
+
+    Returns
+    -------
+    (n, 2, 2) array
+        ``[point, side, derivative]``.
+    """
+    xi = np.asarray(xi, dtype=float)
+    out = np.zeros((*xi.shape, 2, 2))
+    for side in range(2):
+        for kind in range(2):
+            coefficients = polynomial.polyder(COEFFICIENTS[side, kind], derivative)
+            out[..., side, kind] = polynomial.polyval(xi, coefficients)
+    return out
+
+
+def basis(dim: int, xi: ArrayLike, derivative: Sequence[int] | None = None) -> Array:
+    """Evaluate all ``4**dim`` local functions, or a derivative of them.
+
+    Parameters
+    ----------
+    dim : {1, 2, 3}
+        Dimension of the element.
+    xi : (n, dim) array
+        Local coordinates.
+    derivative : sequence of ``dim`` int, optional
+        Order of differentiation in each direction; values by default.
+
+    Returns
+    -------
+    (n, 4**dim) array
+    """
+    xi = np.asarray(xi, dtype=float).reshape(-1, dim)
+    orders = (0,) * dim if derivative is None else tuple(derivative)
+    out = basis_1d(xi[:, 0], orders[0])
+    for k in range(1, dim):
+        factor = basis_1d(xi[:, k], orders[k])
+        n, sides, kinds = out.shape
+        out = (factor[:, :, None, :, None] * out[:, None, :, None, :]).reshape(
+            n, 2 * sides, 2 * kinds
+        )
+    return out.reshape(len(xi), 4**dim)

@@ -1,0 +1,201 @@
+"""The Hermite finite element mesh with an extraction operator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from .basis import Array, basis
+from .locate import Location, locate
+from .quadrature import Quadrature, gauss
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class HermiteMesh:
+    """Curve, surface or volume mesh of cubic Hermite elements.
+
+    Every element has the same ``4**dim`` local functions. The extraction operator
+    turns the global parameters into the local ones; scale factors, rotated or
+    reversed directions, versions and collapsed edges are entries of that operator.
+
+    Attributes
+    ----------
+    dim : {1, 2, 3}
+        Dimension of the elements.
+    parameters : (n_params, 3) array
+        Nodal values and derivatives in mm.
+    extraction : CSR matrix (n_elements * 4**dim, n_params)
+        Local parameters = ``extraction @ parameters``.
+    """
+
+    dim: int
+    parameters: Array
+    extraction: sp.csr_matrix
+
+    def __post_init__(self) -> None:
+        if self.dim not in (1, 2, 3):
+            raise ValueError(f"dim: {self.dim} is not 1, 2 or 3")
+        if self.parameters.ndim != 2 or self.parameters.shape[1] != 3:
+            raise ValueError(f"parameters: shape {self.parameters.shape} is not (n, 3)")
+        rows, columns = self.extraction.shape
+        if rows % 4**self.dim or columns != len(self.parameters):
+            raise ValueError(
+                f"extraction: shape {self.extraction.shape} does not fit "
+                f"{len(self.parameters)} parameters of dimension {self.dim}"
+            )
+
+    @property
+    def n_elements(self) -> int:
+        """Number of elements."""
+        return int(self.extraction.shape[0] // 4**self.dim)
+
+    @property
+    def n_params(self) -> int:
+        """Number of global parameters (each with three components)."""
+        return len(self.parameters)
+
+    @cached_property
+    def _local(self) -> Array:
+        return np.ascontiguousarray(self.local())
+
+    def local(self, parameters: Array | None = None) -> Array:
+        """Return local parameters, (n_elements, 4**dim, components)."""
+        values = self.parameters if parameters is None else parameters
+        return np.asarray(self.extraction @ values).reshape(
+            self.n_elements, 4**self.dim, values.shape[1]
+        )
+
+    def with_parameters(self, parameters: ArrayLike) -> HermiteMesh:
+        """Return the mesh with other parameters, (n_params, 3), and the same extraction."""
+        return replace(self, parameters=np.asarray(parameters, dtype=float))
+
+    def functions(
+        self, elements: ArrayLike, xi: ArrayLike, derivative: Sequence[int] | None = None
+    ) -> sp.csr_matrix:
+        """Return the operator that evaluates a field at points of elements.
+
+        Parameters
+        ----------
+        elements : (n,) int array
+        xi : (n, dim) array
+        derivative : sequence of int, optional
+            Order of differentiation per direction.
+
+        Returns
+        -------
+        CSR matrix (n, n_params)
+            ``functions @ parameters`` are the values, (n, 3).
+        """
+        elements = np.asarray(elements, dtype=np.int64)
+        size = 4**self.dim
+        values = basis(self.dim, xi, derivative)
+        columns = elements[:, None] * size + np.arange(size)
+        local = sp.csr_matrix(
+            (values.ravel(), columns.ravel(), np.arange(0, values.size + 1, size)),
+            shape=(len(elements), self.n_elements * size),
+        )
+        return local @ self.extraction
+
+    def evaluate(
+        self, elements: ArrayLike, xi: ArrayLike, derivative: Sequence[int] | None = None
+    ) -> Array:
+        """Evaluate position, or a derivative of it, at points of elements; (n, 3)."""
+        elements = np.asarray(elements, dtype=np.int64)
+        return np.einsum("na,nai->ni", basis(self.dim, xi, derivative), self._local[elements])
+
+    def jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
+        """Return the tangent vectors dx/dxi_k as columns, (n, 3, dim)."""
+        columns = [self.evaluate(elements, xi, unit) for unit in np.eye(self.dim, dtype=int)]
+        return np.stack(columns, axis=2)
+
+    def scaled_jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
+        """Return the determinant of the normalised tangent vectors of a volume mesh, (n,)."""
+        tangents = self.jacobian(elements, xi)
+        return np.linalg.det(tangents / np.linalg.norm(tangents, axis=1, keepdims=True))
+
+    def gauss_points(self, n: int) -> tuple[IntArray, Array, Array]:
+        """Return elements (q,), xi (q, dim) and unit-cell weights (q,) of a Gauss rule."""
+        xi, weights = gauss(self.dim, n)
+        elements = np.repeat(np.arange(self.n_elements), len(weights))
+        return elements, np.tile(xi, (self.n_elements, 1)), np.tile(weights, self.n_elements)
+
+    def quadrature(self, n: int = 4) -> Quadrature:
+        """Return a Gauss quadrature of all elements with physical weights (mm^dim)."""
+        elements, xi, weights = self.gauss_points(n)
+        tangents = self.jacobian(elements, xi)
+        gram = np.swapaxes(tangents, 1, 2) @ tangents
+        if self.dim == 3:
+            measure = np.linalg.det(tangents)
+        else:
+            measure = np.sqrt(np.maximum(np.linalg.det(gram), 0.0))
+        return Quadrature(elements, xi, weights * measure)
+
+    def measures(self, n: int = 4) -> Array:
+        """Return the length, area or volume of every element, (n_elements,)."""
+        rule = self.quadrature(n)
+        return rule.weights.reshape(self.n_elements, -1).sum(axis=1)
+
+    def face(self, elements: ArrayLike, axis: int, side: int) -> HermiteMesh:
+        """Return one side of some elements as a mesh of one dimension less.
+
+        The face shares the parameters of this mesh, so that whatever is fitted or
+        measured on it acts on the volume.
+
+        Parameters
+        ----------
+        elements : (m,) int array
+        axis, side : int
+            The face is where ``xi_axis`` equals ``side``.
+        """
+        corners = [c for c in range(2**self.dim) if (c >> axis) & 1 == side]
+        kinds = [d for d in range(2**self.dim) if not (d >> axis) & 1]
+        picked = np.array([c * 2**self.dim + d for c in corners for d in kinds])
+        rows = np.asarray(elements, dtype=np.int64)[:, None] * 4**self.dim + picked
+        return HermiteMesh(self.dim - 1, self.parameters, self.extraction[rows.ravel()])
+
+    def subset(self, elements: ArrayLike) -> HermiteMesh:
+        """Return the mesh of some elements with the parameters that they use."""
+        rows = np.asarray(elements, dtype=np.int64)[:, None] * 4**self.dim
+        picked = self.extraction[(rows + np.arange(4**self.dim)).ravel()]
+        used = np.unique(picked.indices)
+        return HermiteMesh(self.dim, self.parameters[used], picked[:, used])
+
+    def corner_nodes(self) -> tuple[IntArray, IntArray]:
+        """Identify the distinct corner vertices of the mesh.
+
+        Returns
+        -------
+        corners : (n_elements, 2**dim) int array
+            Vertex index of every corner; corners with the same position functional share it.
+        first : (n_vertices, 2) int array
+            Element and corner of the first occurrence.
+        """
+        from .refine import group_rows
+
+        rows = np.arange(self.n_elements)[:, None] * 4**self.dim
+        rows = (rows + np.arange(2**self.dim) * 2**self.dim).ravel()
+        index, _, first = group_rows(self.extraction[rows], scaled=False)
+        where = np.stack(np.divmod(first, 2**self.dim), axis=1)
+        return index.reshape(self.n_elements, -1), where
+
+    def locate(self, points: ArrayLike, candidates: int = 6) -> Location:
+        """Find the closest point of the mesh for each of ``points`` (n, 3).
+
+        For a volume ``inside`` says which points lie in an element; for curves and
+        surfaces it says which project to the interior or a shared edge, always with the
+        distance in mm.
+        """
+        return locate(self, np.asarray(points, dtype=float).reshape(-1, 3), candidates)
+
+    def refine(self, counts: Sequence[int]) -> HermiteMesh:
+        """Split every element into ``counts[k]`` equal parts in direction ``k``, exactly."""
+        from .refine import refine
+
+        return refine(self, tuple(counts))

@@ -1,0 +1,52 @@
+"""Gauss rules, and quadratures as sets of weighted points in host elements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .basis import Array
+
+
+def gauss(dim: int, n: int) -> tuple[Array, Array]:
+    """Return the tensor Gauss-Legendre rule with ``n`` points a direction on [0, 1]^dim.
+
+    Returns
+    -------
+    xi : (n**dim, dim) array
+        Points; the first coordinate runs fastest.
+    weights : (n**dim,) array
+        Weights, which sum to 1.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
+    grids = np.meshgrid(*[nodes] * dim, indexing="ij")
+    factors = np.meshgrid(*[weights] * dim, indexing="ij")
+    xi = np.stack([g.ravel() for g in reversed(grids)], axis=1)
+    return xi, np.prod([f.ravel() for f in factors], axis=0)
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """Points with weights in the elements of a mesh.
+
+    Attributes
+    ----------
+    elements : (q,) int array
+        Host element of each point.
+    xi : (q, dim) array
+        Local coordinates in the host element.
+    weights : (q,) array
+        Physical weights in mm^dim.
+    """
+
+    elements: NDArray[np.int64]
+    xi: Array
+    weights: Array
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return len(self.weights)
