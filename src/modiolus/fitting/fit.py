@@ -1,0 +1,325 @@
+"""Least-squares fits of Hermite meshes to data clouds and surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from ..hermite import HermiteMesh
+from ..hermite.basis import Array
+
+
+class ClosestPoint(Protocol):
+    """Whatever can tell its closest points, such as an anatomical surface."""
+
+    def closest(self, points: Array) -> tuple[Array, Array]:
+        """Return the closest points (n, 3) and the unit normals there (n, 3)."""
+
+
+@dataclass(frozen=True)
+class CloudTarget:
+    """Data points that a part of the mesh should pass through.
+
+    Every point is projected to the part at the start of each iteration.
+
+    Attributes
+    ----------
+    name : str
+    part : callable
+        Picks the part (the mesh itself, faces or edges of it) from the current mesh.
+    points : (n, 3) array
+        Data in mm.
+    weight : float or (n,) array
+    sliding : float
+        Weight of the tangential residual relative to the normal one (1: none slides).
+    reject : float
+        Points farther than this (mm) are left out of the iteration.
+    """
+
+    name: str
+    part: Callable[[HermiteMesh], HermiteMesh]
+    points: Array
+    weight: float | Array = 1.0
+    sliding: float = 1.0
+    reject: float = np.inf
+
+
+@dataclass(frozen=True)
+class SurfaceTarget:
+    """A surface that sample points of a part of the mesh should lie on.
+
+    Attributes
+    ----------
+    name : str
+    part : callable
+        Picks the part from the current mesh; it shares the mesh's parameters.
+    surface : ClosestPoint
+        Target.
+    samples : int
+        Gauss points a direction in every element of the part.
+    weight, sliding, reject
+        As for `CloudTarget`.
+    """
+
+    name: str
+    part: Callable[[HermiteMesh], HermiteMesh]
+    surface: ClosestPoint
+    samples: int = 4
+    weight: float = 1.0
+    sliding: float = 0.0
+    reject: float = np.inf
+
+
+@dataclass(frozen=True)
+class PointTarget:
+    """Fixed places of the mesh that should lie at given points.
+
+    Attributes
+    ----------
+    name : str
+    elements : (n,) int array
+    xi : (n, dim) array
+    points : (n, 3) array
+    weight : float or (n,) array
+    """
+
+    name: str
+    elements: NDArray[np.int64]
+    xi: Array
+    points: Array
+    weight: float | Array = 1.0
+
+
+Target = CloudTarget | SurfaceTarget | PointTarget
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """Sobolev penalty on first and second derivatives by xi.
+
+    Attributes
+    ----------
+    first : float or sequence of dim floats
+        Weight of each first derivative.
+    second : float or sequence of dim * (dim + 1) / 2 floats
+        Weights of the second derivatives, pure ones first, then 12, 13, 23.
+    relative : bool
+        Penalise the change from the initial mesh instead of the derivative itself.
+    """
+
+    first: float | Sequence[float] = 0.0
+    second: float | Sequence[float] = 1e-2
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class GroupReport:
+    """Residual of one target after the fit: root mean square, 95th percentile, maximum (mm)."""
+
+    rms: float
+    p95: float
+    maximum: float
+    count: int
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted mesh with its report.
+
+    Attributes
+    ----------
+    mesh : HermiteMesh
+    groups : dict of GroupReport
+        Residuals by target name.
+    min_jacobian : float or None
+        Smallest Jacobian determinant at 4x4x4 points, for volume meshes.
+    """
+
+    mesh: HermiteMesh
+    groups: dict[str, GroupReport] = field(default_factory=dict)
+    min_jacobian: float | None = None
+
+
+def _derivative_orders(dim: int) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    unit = np.eye(dim, dtype=int)
+    first = [tuple(u) for u in unit]
+    pairs = [(k, k) for k in range(dim)]
+    pairs += [(a, b) for a in range(dim) for b in range(a + 1, dim)]
+    second = [tuple(unit[a] + unit[b]) for a, b in pairs]
+    return first, second
+
+
+def sobolev(mesh: HermiteMesh, smoothing: Smoothing) -> sp.csr_matrix:
+    """Return the smoothing matrix over the parameters, (n_params, n_params).
+
+    The penalty of Fernandez et al. 2004 (eq. 6): weighted integrals of squared first and
+    second derivatives over the unit cells.
+    """
+    elements, xi, weights = mesh.gauss_points(4)
+    first, second = _derivative_orders(mesh.dim)
+    factors = [*np.broadcast_to(smoothing.first, len(first))]
+    factors += [*np.broadcast_to(smoothing.second, len(second))]
+    total = sp.csr_matrix((mesh.n_params, mesh.n_params))
+    for orders, factor in zip([*first, *second], factors, strict=True):
+        if factor > 0.0:
+            operator = mesh.functions(elements, xi, orders)
+            total = total + operator.T @ sp.diags(weights * factor) @ operator
+    return sp.csr_matrix(total)
+
+
+def part_normals(part: HermiteMesh, elements: NDArray[np.int64], xi: Array) -> Array:
+    """Return unit normals of a surface part, (n, 3)."""
+    tangents = part.jacobian(elements, xi)
+    normal = np.cross(tangents[:, :, 0], tangents[:, :, 1])
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+
+
+@dataclass(frozen=True)
+class _Residual:
+    operator: sp.csr_matrix
+    points: Array
+    weight: Array
+    normals: Array | None
+    sliding: float
+
+    def report(self, parameters: Array) -> GroupReport:
+        gap = self.points - self.operator @ parameters
+        if self.normals is not None:
+            tangential = gap - np.sum(gap * self.normals, axis=1, keepdims=True) * self.normals
+            gap = gap - (1.0 - self.sliding) * tangential
+        distance = np.linalg.norm(gap, axis=1)
+        if not len(distance):
+            return GroupReport(np.nan, np.nan, np.nan, 0)
+        return GroupReport(
+            float(np.sqrt(np.mean(distance**2))),
+            float(np.percentile(distance, 95)),
+            float(distance.max()),
+            len(distance),
+        )
+
+
+def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
+    """Project a target onto the current mesh."""
+    if isinstance(target, PointTarget):
+        operator = mesh.functions(target.elements, target.xi)
+        weight = np.broadcast_to(target.weight, len(target.points))
+        return _Residual(operator, target.points, np.asarray(weight, dtype=float), None, 1.0)
+    part = target.part(mesh)
+    normals: Array | None = None
+    if isinstance(target, CloudTarget):
+        place = part.locate(target.points)
+        near = place.distance <= target.reject
+        elements, xi, points = place.elements[near], place.xi[near], target.points[near]
+        weight = np.broadcast_to(target.weight, len(target.points))[near]
+        if part.dim == 2 and target.sliding < 1.0:
+            normals = part_normals(part, elements, xi)
+    else:
+        elements, xi, cell = part.gauss_points(target.samples)
+        points, normals = target.surface.closest(part.evaluate(elements, xi))
+        near = np.linalg.norm(points - part.evaluate(elements, xi), axis=1) <= target.reject
+        elements, xi, points, normals = elements[near], xi[near], points[near], normals[near]
+        weight = target.weight * cell[near] * target.samples**part.dim
+    operator = part.functions(elements, xi)
+    return _Residual(operator, points, np.asarray(weight, dtype=float), normals, target.sliding)
+
+
+def fit(
+    mesh: HermiteMesh,
+    targets: Sequence[Target],
+    smoothing: Smoothing | None = None,
+    fixed: NDArray[np.bool_] | None = None,
+    constraints: tuple[sp.csr_matrix, Array] | None = None,
+    iterations: int = 5,
+    damping: float = 1e-8,
+) -> FitResult:
+    """Fit a mesh to targets; projections are renewed in every iteration.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Initial mesh.
+    targets : sequence of CloudTarget, SurfaceTarget or PointTarget
+    smoothing : Smoothing, optional
+    fixed : (n_params, 3) bool array, optional
+        Unknowns that keep their initial value.
+    constraints : (matrix (k, 3 * n_params), values (k,)), optional
+        Linear equations that the parameters (flattened, component fastest) satisfy.
+    iterations : int
+    damping : float
+        Weight that keeps parameters seen by no datum at their present value.
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    ValueError
+        For a fixed mask of the wrong shape or no target at all.
+    """
+    if not targets:
+        raise ValueError("targets: there is nothing to fit to; give at least one")
+    held = np.zeros((mesh.n_params, 3), dtype=bool) if fixed is None else np.asarray(fixed)
+    if held.shape != (mesh.n_params, 3):
+        raise ValueError(f"fixed: shape {held.shape} is not ({mesh.n_params}, 3)")
+    smoothing = smoothing or Smoothing()
+    roughness = sobolev(mesh, smoothing)
+    reference = mesh.parameters if smoothing.relative else np.zeros_like(mesh.parameters)
+    free = np.flatnonzero(~held.ravel())
+    identity = sp.identity(3, format="csr")
+    for _ in range(iterations):
+        current = mesh.parameters
+        matrix = sp.kron(roughness + damping * sp.identity(mesh.n_params), identity, format="csr")
+        right = (roughness @ (reference - current)).ravel()
+        for target in targets:
+            residual = _residual(target, mesh)
+            gap = residual.points - residual.operator @ current
+            wide = sp.kron(residual.operator, identity, format="csr")
+            if residual.normals is None:
+                metric = sp.diags(np.repeat(residual.weight, 3), format="csr")
+            else:
+                metric = _sliding_metric(residual)
+            weighted = wide.T @ metric
+            matrix = matrix + weighted @ wide
+            right = right + weighted @ gap.ravel()
+        step = np.zeros(3 * mesh.n_params)
+        step[free] = _solve(matrix[free][:, free], right[free], constraints, current, free)
+        mesh = mesh.with_parameters(current + step.reshape(-1, 3))
+    groups = {t.name: _residual(t, mesh).report(mesh.parameters) for t in targets}
+    smallest = None
+    if mesh.dim == 3:
+        elements, xi, _ = mesh.gauss_points(4)
+        smallest = float(np.linalg.det(mesh.jacobian(elements, xi)).min())
+    return FitResult(mesh, groups, smallest)
+
+
+def _sliding_metric(residual: _Residual) -> sp.csr_matrix:
+    """Weigh normal residuals fully and tangential ones by the sliding weight."""
+    assert residual.normals is not None
+    outer = residual.normals[:, :, None] * residual.normals[:, None, :]
+    blocks = (1.0 - residual.sliding) * outer + residual.sliding * np.eye(3)
+    blocks *= residual.weight[:, None, None]
+    n = len(blocks)
+    return sp.bsr_matrix((blocks, np.arange(n), np.arange(n + 1))).tocsr()
+
+
+def _solve(
+    matrix: sp.csr_matrix,
+    right: Array,
+    constraints: tuple[sp.csr_matrix, Array] | None,
+    current: Array,
+    free: NDArray[np.int64],
+) -> Array:
+    if constraints is None:
+        return np.asarray(splu(matrix.tocsc()).solve(right))
+    rows, values = constraints
+    defect = values - rows @ current.ravel()
+    block = sp.bmat([[matrix, rows[:, free].T], [rows[:, free], None]], format="csc")
+    solution = splu(block).solve(np.concatenate([right, defect]))
+    return np.asarray(solution[: len(free)])
