@@ -1,0 +1,63 @@
+# Everything runs in .venv, which is created here and reused.
+#   make demo      a closed-mouth smile on the shipped head, into out/
+#   make test      the quick tests (a few minutes); test-all runs the slow ones too
+#   make lint      style and types
+#   make bench     times of assembly, factorisation and a whole solve
+#   make docs      the documentation, into docs/_build/html
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+OUT ?= out
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-all lint bench docs clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "make: $(PYTHON) is older than Python 3.11; name another with make PYTHON=..." >&2; exit 2; }
+	@echo "Creating $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+
+# One stamp for each set of dependencies: installed again only when pyproject.toml changes.
+$(VENV)/.installed-core: pyproject.toml | $(BIN)/python
+	@echo "Installing modiolus into $(VENV) (a few minutes the first time)"
+	@.ci/pip-install $(BIN)/python -e .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml | $(VENV)/.installed-core
+	@echo "Installing the test tools"
+	@.ci/pip-install $(BIN)/python -e '.[dev]'
+	@touch $@
+
+$(VENV)/.installed-docs: pyproject.toml | $(VENV)/.installed-core
+	@echo "Installing the documentation tools"
+	@.ci/pip-install $(BIN)/python -e '.[docs]'
+	@touch $@
+
+demo: $(VENV)/.installed-core
+	@$(BIN)/modiolus simulate smile-closed --out $(OUT)
+
+test: $(VENV)/.installed-dev
+	@$(BIN)/python -m pytest
+
+test-all: $(VENV)/.installed-dev
+	@$(BIN)/python -m pytest -m "slow or not slow"
+
+lint: $(VENV)/.installed-dev
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/mypy
+
+bench: $(VENV)/.installed-core
+	@$(BIN)/python bench/bench.py
+
+docs: $(VENV)/.installed-docs
+	@$(BIN)/sphinx-build --fail-on-warning --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+clean:
+	rm -rf $(OUT) docs/_build docs/_generated .mypy_cache .pytest_cache .ruff_cache
