@@ -1,0 +1,296 @@
+"""Triangulated surfaces of anatomy, and their checked reader.
+
+Everything is in millimetres in one frame: +x the subject's left, +y posterior, +z up (LPS).
+Distances and closest points come from libigl's bounding volume tree, insides from its fast
+winding number [1]_, which also bears surfaces with small holes and several overlapping shells.
+
+References
+----------
+.. [1] G. Barill et al., "Fast winding numbers for soups and clouds", ACM Trans. Graph. 37 (2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import igl
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from modiolus.errors import InputError
+
+__all__ = ["MIDPLANE", "Closest", "Surface", "read_surface"]
+
+#: x of the reference anatomy's mid-sagittal plane (mm).
+MIDPLANE = -0.67
+
+_READABLE = (".ply", ".stl", ".obj")
+
+
+class Closest(NamedTuple):
+    """Closest points of a surface: one row for each query point."""
+
+    points: np.ndarray
+    """(n, 3) closest points on the surface."""
+    distance: np.ndarray
+    """(n,) distances, not negative."""
+    faces: np.ndarray
+    """(n,) the triangles on which they lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A triangulated surface.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float array
+        Vertex positions (mm).
+    faces : (m, 3) int array
+        Vertex indices, counter-clockwise seen from outside.
+    name : str
+        What the surface is, for messages.
+
+    Raises
+    ------
+    InputError
+        The arrays are of another shape, empty, not finite, or refer to missing vertices.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    name: str = "surface"
+
+    def __post_init__(self) -> None:
+        vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
+        faces = np.ascontiguousarray(self.faces, dtype=np.int64)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
+            raise InputError(f"{self.name}: no vertices in three dimensions; give a surface mesh")
+        if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+            raise InputError(f"{self.name}: no triangles; give a triangulated surface")
+        if not np.isfinite(vertices).all():
+            raise InputError(f"{self.name}: vertices that are not finite; write the mesh anew")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError(f"{self.name}: triangles of missing vertices; write the mesh anew")
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @classmethod
+    def joined(cls, surfaces: Iterable[Surface], name: str = "surface") -> Surface:
+        """Put several surfaces into one, shells and all.
+
+        Parameters
+        ----------
+        surfaces : iterable of Surface
+            At least one.
+        name : str
+            Name of the whole.
+        """
+        parts = list(surfaces)
+        starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+        return cls(
+            np.concatenate([part.vertices for part in parts]),
+            np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+            name,
+        )
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) lowest and highest corner of the box around the vertices (mm)."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @cached_property
+    def _cross(self) -> np.ndarray:
+        corners = self.vertices[self.faces]
+        return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """(m,) areas of the triangles (mm²)."""
+        return np.asarray(0.5 * np.linalg.norm(self._cross, axis=1))
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(m, 3) outward unit normals of the triangles (zero for degenerate ones)."""
+        lengths = np.linalg.norm(self._cross, axis=1, keepdims=True)
+        return np.asarray(self._cross / np.where(lengths > 0.0, lengths, 1.0))
+
+    @property
+    def area(self) -> float:
+        """Total area (mm²)."""
+        return float(self.areas.sum())
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume by the divergence theorem (mm³)."""
+        centres = self.vertices[self.faces].mean(axis=1) - self.vertices.mean(axis=0)
+        return float((centres * self._cross).sum() / 6.0)
+
+    def components(self) -> list[Surface]:
+        """Split into connected shells, the one with the most triangles first."""
+        n = len(self.vertices)
+        rows = self.faces[:, [0, 1]].ravel()
+        columns = self.faces[:, [1, 2]].ravel()
+        links = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
+        labels = connected_components(links, directed=False)[1][self.faces[:, 0]]
+        found, counts = np.unique(labels, return_counts=True)
+        order = found[np.argsort(-counts, kind="stable")]
+        return [self._picked(self.faces[labels == label]) for label in order]
+
+    def largest_component(self) -> Surface:
+        """Return the connected shell with the most triangles."""
+        return self.components()[0]
+
+    def _picked(self, faces: np.ndarray) -> Surface:
+        used, packed = np.unique(faces, return_inverse=True)
+        return Surface(self.vertices[used], packed.reshape(faces.shape), self.name)
+
+    def mirrored(self, x: float = MIDPLANE) -> Surface:
+        """Return the mirror image in the plane of constant `x`, its triangles still outward."""
+        vertices = self.vertices.copy()
+        vertices[:, 0] = 2.0 * x - vertices[:, 0]
+        return Surface(vertices, self.faces[:, ::-1], self.name)
+
+    def closest(self, points: np.ndarray) -> Closest:
+        """Find the closest points on the surface.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+            Query points (mm).
+        """
+        queries = _queries(points)
+        squared, faces, nearest = self._tree.squared_distance(self.vertices, self.faces, queries)
+        return Closest(np.atleast_2d(nearest), np.sqrt(squared), np.atleast_1d(faces))
+
+    @cached_property
+    def _tree(self) -> igl.AABB:
+        tree = igl.AABB()
+        tree.init(self.vertices, self.faces)
+        return tree
+
+    def winding(self, points: np.ndarray) -> np.ndarray:
+        """Winding number at (n, 3) points: 0 outside, 1 inside, more where shells overlap."""
+        return np.asarray(igl.fast_winding_number(self.vertices, self.faces, _queries(points)))
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Tell which of (n, 3) points are inside: (n,) bool."""
+        return np.asarray(self.winding(points) > 0.5)
+
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance at (n, 3) points: (n,), negative inside (mm)."""
+        return np.asarray(
+            np.where(self.contains(points), -1.0, 1.0) * self.closest(points).distance
+        )
+
+    def samples(self, spacing: float) -> np.ndarray:
+        """Spread points evenly over the surface, the same ones every time.
+
+        Parameters
+        ----------
+        spacing : float
+            About one point for every `spacing` squared (mm).
+
+        Returns
+        -------
+        (n, 3) array
+            Points in the triangles, placed by a low-discrepancy sequence.
+        """
+        n = max(1, round(self.area / spacing**2))
+        edges = np.concatenate([[0.0], np.cumsum(self.areas)])
+        places = (np.arange(n) + 0.5) / n * edges[-1]
+        faces = np.clip(np.searchsorted(edges, places, side="right") - 1, 0, len(self.faces) - 1)
+        # Fractions of the plastic number: Roberts' two-dimensional low-discrepancy sequence.
+        plastic = 1.3247179572447460
+        u, v = (np.arange(n)[:, None] * (1.0 / plastic) ** np.array([1, 2]) % 1.0).T
+        folded = u + v > 1.0
+        u, v = np.where(folded, 1.0 - u, u), np.where(folded, 1.0 - v, v)
+        corners = self.vertices[self.faces[faces]]
+        weights = np.stack([1.0 - u - v, u, v], axis=1)
+        return np.asarray(np.einsum("nk,nkd->nd", weights, corners))
+
+
+def _queries(points: np.ndarray) -> np.ndarray:
+    queries = np.ascontiguousarray(points, dtype=np.float64)
+    if queries.ndim != 2 or queries.shape[1] != 3:
+        raise ValueError(f"points of shape {queries.shape}, not (n, 3)")
+    return queries
+
+
+def read_surface(path: str | Path, name: str | None = None) -> Surface:
+    """Read a triangulated surface and check it.
+
+    Parameters
+    ----------
+    path : path
+        A PLY, STL or OBJ file. The vertices of an STL file are merged.
+    name : str, optional
+        What the surface is; by default the file's name.
+
+    Raises
+    ------
+    InputError
+        The file is missing, of another kind, truncated, or holds no sound triangles.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    if path.suffix.lower() not in _READABLE:
+        raise InputError(f"{path}: not a surface file; give one of {', '.join(_READABLE)}")
+    # VTK is imported here because it takes longer than everything else together.
+    import pyvista as pv
+
+    damaged = f"{path}: cannot be read as a surface; it may be truncated, fetch it again"
+    if path.suffix.lower() == ".ply" and not _is_whole_ply(path):
+        raise InputError(damaged)
+    try:
+        with pv.VtkErrorCatcher(raise_errors=True, send_to_logging=False):
+            mesh = pv.read(path).triangulate()
+        surface = Surface(mesh.points, mesh.regular_faces, name or path.stem)
+    except (InputError, RuntimeError, ValueError, AttributeError) as error:
+        raise InputError(damaged) from error
+    if path.suffix.lower() == ".stl":
+        merged, index = np.unique(surface.vertices, axis=0, return_inverse=True)
+        surface = Surface(merged, index.ravel()[surface.faces], surface.name)
+    # Some readers give the missing triangles of a truncated file as zeros.
+    ordered = np.sort(surface.faces, axis=1)
+    degenerate = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
+    if degenerate.mean() > 0.01:
+        raise InputError(damaged)
+    return surface
+
+
+def _is_whole_ply(path: Path) -> bool:
+    """Tell whether a PLY file has the content that its header promises.
+
+    Libraries are known to bring the process down on a truncated one, VTK and libigl among them.
+    """
+    content = path.read_bytes()
+    head, end, body = content.partition(b"end_header\n")
+    if not end or not head.startswith(b"ply"):
+        return False
+    sizes = {"char": 1, "short": 2, "int": 4, "float": 4, "double": 8}
+    sizes |= {f"u{name}": sizes[name] for name in ("char", "short", "int")}
+    sizes |= {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4}
+    sizes |= {"float32": 4, "float64": 8}
+    ascii_body = False
+    needed = count = 0
+    try:
+        for words in (line.split() for line in head.decode("ascii").splitlines()):
+            if words[:1] == ["format"]:
+                ascii_body = words[1] == "ascii"
+            elif words[:1] == ["element"]:
+                count = int(words[2])
+            elif words[:2] == ["property", "list"]:
+                # A list is at least a triangle: what has less is no surface.
+                needed += count * (4 if ascii_body else sizes[words[2]] + 3 * sizes[words[3]])
+            elif words[:1] == ["property"]:
+                needed += count * (1 if ascii_body else sizes[words[1]])
+    except (IndexError, KeyError, ValueError):
+        return False
+    return (len(body.split()) if ascii_body else len(body)) >= needed
