@@ -1,0 +1,143 @@
+"""glTF 2.0: the head with its expressions as morph targets, for animation programs.
+
+glTF measures in metres with +y up and the face looking to +z, so a point (x, y, z) of the head
+becomes (x, z, -y) / 1000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+from numpy.typing import NDArray
+
+from modiolus import __version__
+from modiolus.export.shape import Shape, linear_light, vertex_normals
+
+__all__ = ["write_glb"]
+
+Floats = NDArray[np.float64]
+
+_TO_GLTF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_MM_TO_M = 1e-3
+
+
+def write_glb(
+    path: Path,
+    shapes: Sequence[Shape],
+    targets: Mapping[str, Mapping[str, Floats]],
+    attribution: str = "",
+) -> None:
+    """Write surfaces with their morph targets as one binary glTF file.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    shapes : sequence of Shape
+        The neutral surfaces; each becomes a node with the shape's name.
+    targets : mapping of str to mapping of str to (n, 3) array
+        For the name of a shape: the vertices in mm at the full strength of each named target.
+    attribution : str
+        Who made the anatomy and under which licence.
+    """
+    writer = _Writer()
+    for shape in shapes:
+        writer.add(shape, targets.get(shape.name, {}))
+    writer.save(path, attribution)
+
+
+class _Writer:
+    """Collects arrays in one buffer and the records that point into it."""
+
+    def __init__(self) -> None:
+        self.gltf = pygltflib.GLTF2()
+        self.blob = bytearray()
+
+    def accessor(self, array: NDArray[np.generic], kind: str, target: int, bounds: bool) -> int:
+        """Append an array and return the number of its accessor."""
+        self.blob.extend(b"\0" * (-len(self.blob) % 4))
+        gltf = self.gltf
+        gltf.bufferViews.append(
+            pygltflib.BufferView(
+                buffer=0, byteOffset=len(self.blob), byteLength=array.nbytes, target=target
+            )
+        )
+        self.blob.extend(array.tobytes())
+        whole = array.dtype == np.uint32
+        gltf.accessors.append(
+            pygltflib.Accessor(
+                bufferView=len(gltf.bufferViews) - 1,
+                componentType=pygltflib.UNSIGNED_INT if whole else pygltflib.FLOAT,
+                count=len(array),
+                type=kind,
+                min=array.min(axis=0).tolist() if bounds else None,
+                max=array.max(axis=0).tolist() if bounds else None,
+            )
+        )
+        return len(gltf.accessors) - 1
+
+    def vectors(self, array: Floats, bounds: bool = False) -> int:
+        """Append vectors per vertex, (n, 3)."""
+        single = np.ascontiguousarray(array, dtype=np.float32)
+        return self.accessor(single, pygltflib.VEC3, pygltflib.ARRAY_BUFFER, bounds)
+
+    def add(self, shape: Shape, targets: Mapping[str, Floats]) -> None:
+        """Add a shape as a node of its own."""
+        gltf = self.gltf
+        normals = vertex_normals(shape.vertices, shape.faces) @ _TO_GLTF
+        attributes = pygltflib.Attributes(
+            POSITION=self.vectors(shape.vertices @ _TO_GLTF * _MM_TO_M, bounds=True),
+            NORMAL=self.vectors(normals),
+            COLOR_0=self.vectors(linear_light(shape.colours())),
+        )
+        triangles = np.ascontiguousarray(shape.faces, dtype=np.uint32).reshape(-1)
+        morphs = []
+        for vertices in targets.values():
+            moved = (vertices - shape.vertices) @ _TO_GLTF * _MM_TO_M
+            turned = vertex_normals(vertices, shape.faces) @ _TO_GLTF - normals
+            morphs.append(
+                {"POSITION": self.vectors(moved, bounds=True), "NORMAL": self.vectors(turned)}
+            )
+        gltf.materials.append(
+            pygltflib.Material(
+                name=shape.name,
+                pbrMetallicRoughness=pygltflib.PbrMetallicRoughness(
+                    metallicFactor=0.0, roughnessFactor=float(0.75 - 0.6 * shape.gloss)
+                ),
+                doubleSided=True,
+            )
+        )
+        gltf.meshes.append(
+            pygltflib.Mesh(
+                name=shape.name,
+                primitives=[
+                    pygltflib.Primitive(
+                        attributes=attributes,
+                        indices=self.accessor(
+                            triangles, pygltflib.SCALAR, pygltflib.ELEMENT_ARRAY_BUFFER, False
+                        ),
+                        material=len(gltf.materials) - 1,
+                        targets=morphs,
+                    )
+                ],
+                weights=[0.0] * len(targets),
+                # Where the programs that read glTF look for the names of morph targets.
+                extras={"targetNames": list(targets)} if targets else {},
+            )
+        )
+        gltf.nodes.append(pygltflib.Node(name=shape.name, mesh=len(gltf.meshes) - 1))
+
+    def save(self, path: Path, attribution: str) -> None:
+        """Write what has been added."""
+        gltf = self.gltf
+        gltf.asset = pygltflib.Asset(generator=f"modiolus {__version__}", version="2.0")
+        if attribution:
+            gltf.asset.copyright = attribution
+        gltf.scenes.append(pygltflib.Scene(nodes=list(range(len(gltf.nodes)))))
+        gltf.scene = 0
+        gltf.buffers.append(pygltflib.Buffer(byteLength=len(self.blob)))
+        gltf.set_binary_blob(bytes(self.blob))
+        gltf.save_binary(str(path))

@@ -1,0 +1,76 @@
+"""Surfaces with a look: what pictures and animation files are made of."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Shape", "linear_light", "vertex_normals"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A triangulated surface with its look.
+
+    Parameters
+    ----------
+    vertices : (n, 3) array
+        Positions in mm.
+    faces : (m, 3) array of int
+        Triangles, counter-clockwise seen from outside.
+    colour : (3,) or (n, 3) array
+        sRGB colour, 0 to 1, of the whole or of every vertex.
+    name : str
+        What it is, such as ``"skin"``.
+    gloss : float
+        Strength of the highlight, 0 (matt) to 1 (wet).
+    glow : float
+        Share of the light that has wandered under the surface, as it does in skin.
+    """
+
+    vertices: Floats
+    faces: Ints
+    colour: tuple[float, float, float] | Floats
+    name: str = ""
+    gloss: float = 0.12
+    glow: float = 0.0
+
+    def colours(self) -> Floats:
+        """Return the colour of every vertex, (n, 3)."""
+        return np.broadcast_to(np.asarray(self.colour, dtype=float), self.vertices.shape)
+
+
+def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
+    """Return smooth unit normals: the area-weighted mean of the triangles around each vertex.
+
+    Parameters
+    ----------
+    vertices : (n, 3) array
+        Positions.
+    faces : (m, 3) array of int
+        Triangles.
+
+    Returns
+    -------
+    (n, 3) array
+        Unit normals; +z where no triangle with an area tells.
+    """
+    corners = vertices[faces]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros(vertices.shape)
+    for corner in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(
+                faces[:, corner], weights=areas[:, axis], minlength=len(vertices)
+            )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+
+
+def linear_light(colour: Floats) -> Floats:
+    """Return the linear light of sRGB colours, 0 to 1 (IEC 61966-2-1)."""
+    low = colour <= 0.04045
+    return np.asarray(np.where(low, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4))
