@@ -140,13 +140,20 @@ class Surface:
         labels = connected_components(links, directed=False)[1][self.faces[:, 0]]
         found, counts = np.unique(labels, return_counts=True)
         order = found[np.argsort(-counts, kind="stable")]
-        return [self._picked(self.faces[labels == label]) for label in order]
+        return [self.picked(self.faces[labels == label]) for label in order]
 
     def largest_component(self) -> Surface:
         """Return the connected shell with the most triangles."""
         return self.components()[0]
 
-    def _picked(self, faces: np.ndarray) -> Surface:
+    def picked(self, faces: np.ndarray) -> Surface:
+        """Return the surface of some of the triangles.
+
+        Parameters
+        ----------
+        faces : (k, 3) int array
+            Rows of `faces`.
+        """
         used, packed = np.unique(faces, return_inverse=True)
         return Surface(self.vertices[used], packed.reshape(faces.shape), self.name)
 
@@ -167,6 +174,30 @@ class Surface:
         queries = _queries(points)
         squared, faces, nearest = self._tree.squared_distance(self.vertices, self.faces, queries)
         return Closest(np.atleast_2d(nearest), np.sqrt(squared), np.atleast_1d(faces))
+
+    def first_hits(self, origins: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Find where rays first meet the surface.
+
+        Parameters
+        ----------
+        origins : (n, 3) array
+            Starts of the rays (mm).
+        direction : (3,) array
+            Their common direction.
+
+        Returns
+        -------
+        (n, 3) array
+            The hits; NaN where a ray misses.
+        """
+        starts = _queries(origins)
+        directions = np.tile(np.asarray(direction, dtype=np.float64), (len(starts), 1))
+        faces, lengths, _ = self._tree.intersect_ray_first(
+            self.vertices, self.faces, starts, directions
+        )
+        hits = starts + np.asarray(lengths)[:, None] * directions
+        hits[np.asarray(faces) < 0] = np.nan
+        return np.asarray(hits)
 
     @cached_property
     def _tree(self) -> igl.AABB:

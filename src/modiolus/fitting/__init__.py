@@ -1,7 +1,6 @@
 """Fits of Hermite meshes to data clouds and surfaces."""
 
 from .fit import (
-    ClosestPoint,
     CloudTarget,
     FitResult,
     GroupReport,
@@ -14,7 +13,6 @@ from .fit import (
 )
 
 __all__ = [
-    "ClosestPoint",
     "CloudTarget",
     "FitResult",
     "GroupReport",

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from ..anatomy.surface import Surface
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
-
-
-class ClosestPoint(Protocol):
-    """Whatever can tell its closest points, such as an anatomical surface."""
-
-    def closest(self, points: Array) -> tuple[Array, Array]:
-        """Return the closest points (n, 3) and the unit normals there (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +52,7 @@ class SurfaceTarget:
     name : str
     part : callable
         Picks the part from the current mesh; it shares the mesh's parameters.
-    surface : ClosestPoint
-        Target.
+    surface : Surface
     samples : int
         Gauss points a direction in every element of the part.
     weight, sliding, reject
@@ -69,7 +61,7 @@ class SurfaceTarget:
 
     name: str
     part: Callable[[HermiteMesh], HermiteMesh]
-    surface: ClosestPoint
+    surface: Surface
     samples: int = 4
     weight: float = 1.0
     sliding: float = 0.0
@@ -221,8 +213,9 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
             normals = part_normals(part, elements, xi)
     else:
         elements, xi, cell = part.gauss_points(target.samples)
-        points, normals = target.surface.closest(part.evaluate(elements, xi))
-        near = np.linalg.norm(points - part.evaluate(elements, xi), axis=1) <= target.reject
+        found = target.surface.closest(part.evaluate(elements, xi))
+        points, normals = found.points, target.surface.normals[found.faces]
+        near = found.distance <= target.reject
         elements, xi, points, normals = elements[near], xi[near], points[near], normals[near]
         weight = target.weight * cell[near] * target.samples**part.dim
     operator = part.functions(elements, xi)
