@@ -1,0 +1,272 @@
+"""From element arrays to the global residual and the sparse tangent.
+
+A `Pattern` says which global parameters each element of a group touches. An `Assembly`
+holds the element arrays of one or more patterns and the map that sums them into the upper
+triangle of the global matrix. The map is made once; every later assembly is one pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from . import kernels
+from .laws import PAIRS, Array
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Global parameters of the elements of one group, padded to equal numbers.
+
+    Attributes
+    ----------
+    params : (e, m) int array
+        Parameter of each function of an element, ascending; padded with 0.
+    counts : (e,) int array
+        Number of functions before the padding.
+    vertices : (e, 8) int array
+        Pressure of each corner; (e, 0) in groups without pressures.
+    """
+
+    params: IntArray
+    counts: IntArray
+    vertices: IntArray
+
+    @classmethod
+    def from_functions(
+        cls,
+        functions: sp.csr_matrix,
+        hosts: IntArray,
+        n_hosts: int,
+        vertices: IntArray | None = None,
+    ) -> Pattern:
+        """Collect the columns that the rows of each host touch.
+
+        Parameters
+        ----------
+        functions : CSR matrix (n, n_params)
+        hosts : (n,) int array
+            Element of each row.
+        n_hosts : int
+        vertices : (n_hosts, 8) int array, optional
+        """
+        n_params = functions.shape[1]
+        rows = np.repeat(np.asarray(hosts), np.diff(functions.indptr))
+        keys = np.unique(rows * n_params + functions.indices)
+        host, column = np.divmod(keys, n_params)
+        counts = np.bincount(host, minlength=n_hosts)
+        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        params = np.zeros((n_hosts, int(counts.max(initial=1))), dtype=np.int64)
+        params[host, np.arange(len(keys)) - first[host]] = column
+        if vertices is None:
+            vertices = np.zeros((n_hosts, 0), dtype=np.int64)
+        return cls(params, counts, vertices)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which places of ``params`` are not padding, (e, m)."""
+        return np.arange(self.params.shape[1]) < self.counts[:, None]
+
+    def dense(self, functions: sp.csr_matrix, hosts: IntArray) -> Array:
+        """Return rows of a sparse operator on the functions of their host, (n, m)."""
+        n_params = functions.shape[1]
+        valid = self.valid
+        keys = (np.arange(len(self.params))[:, None] * n_params + self.params)[valid]
+        places = np.broadcast_to(np.arange(valid.shape[1]), valid.shape)[valid]
+        rows = np.repeat(np.arange(functions.shape[0]), np.diff(functions.indptr))
+        found = np.searchsorted(keys, np.asarray(hosts)[rows] * n_params + functions.indices)
+        out = np.zeros((functions.shape[0], self.params.shape[1]))
+        np.add.at(out, (rows, places[found]), functions.data)
+        return out
+
+
+class ElementArrays:
+    """Residual and tangent blocks of the elements of one pattern.
+
+    Attributes
+    ----------
+    residual : (e, m, 3) array
+    tangent : (e, 6, m, m) array
+    coupling : (e, 3, m, v) array
+    pressure_residual : (e, v) array
+        ``v`` is 8, or 0 in groups without pressures.
+    """
+
+    def __init__(self, pattern: Pattern, values: Array) -> None:
+        e, m = pattern.params.shape
+        v = pattern.vertices.shape[1]
+        self.pattern = pattern
+        self.residual = np.zeros((e, m, 3))
+        self.pressure_residual = np.zeros((e, v))
+        self.tangent = values[: e * 6 * m * m].reshape(e, 6, m, m)
+        self.coupling = values[e * 6 * m * m :].reshape(e, 3, m, v)
+
+    @staticmethod
+    def size(pattern: Pattern) -> int:
+        """Return the number of tangent and coupling values of a pattern."""
+        e, m = pattern.params.shape
+        return int(e * m * (6 * m + 3 * pattern.vertices.shape[1]))
+
+
+class Assembly:
+    """Element arrays of all patterns, and their sum over the free unknowns.
+
+    The unknowns are the free components of the displacement parameters followed by the
+    pressures. A pressure all of whose elements are fixed is left out.
+
+    Parameters
+    ----------
+    patterns : sequence of Pattern
+    fixed : (n_params, 3) bool array
+    n_pressures : int
+
+    Attributes
+    ----------
+    equations : (n_params, 3) int array
+        Number of each free unknown, -1 where it is fixed.
+    pressure_equations : (n_pressures,) int array
+    n_displacements, n_pressures, n : int
+        Number of free displacement unknowns, of free pressures, of all.
+    """
+
+    def __init__(
+        self, patterns: Sequence[Pattern], fixed: NDArray[np.bool_], n_pressures: int
+    ) -> None:
+        touched = np.zeros(len(fixed), dtype=bool)
+        for pattern in patterns:
+            touched[pattern.params[pattern.valid]] = True
+        free = ~fixed & touched[:, None]
+        self.equations = np.full(free.shape, -1)
+        self.equations[free] = np.arange(free.sum())
+        self.n_displacements = int(free.sum())
+        active = np.zeros(n_pressures, dtype=bool)
+        for pattern in patterns:
+            moving = ((self.equations[pattern.params] >= 0).any(axis=2) & pattern.valid).any(axis=1)
+            active[pattern.vertices[moving]] = True
+        self.pressure_equations = np.full(n_pressures, -1)
+        self.pressure_equations[active] = self.n_displacements + np.arange(active.sum())
+        self.n_pressures = int(active.sum())
+        self.n = self.n_displacements + self.n_pressures
+
+        sizes = [ElementArrays.size(pattern) for pattern in patterns]
+        self._values = np.zeros(sum(sizes))
+        ends = np.cumsum([0, *sizes])
+        self.groups = [
+            ElementArrays(pattern, self._values[start:end])
+            for pattern, start, end in zip(patterns, ends[:-1], ends[1:], strict=True)
+        ]
+        self._build_map(ends)
+
+    def _build_map(self, offsets: IntArray) -> None:
+        keys, sources = [], []
+        for group, offset in zip(self.groups, offsets[:-1], strict=True):
+            pattern = group.pattern
+            e, m = pattern.params.shape
+            equations = np.where(pattern.valid[:, :, None], self.equations[pattern.params], -1)
+            pressure = self.pressure_equations[pattern.vertices]
+            place = offset + np.arange(e * 6 * m * m).reshape(e, 6, m, m)
+            for pair, (i, j) in enumerate(PAIRS):
+                row = equations[:, :, None, i]
+                column = equations[:, None, :, j]
+                keep = (row >= 0) & (column >= 0)
+                if i == j:
+                    keep &= row <= column
+                low, high = np.minimum(row, column)[keep], np.maximum(row, column)[keep]
+                keys.append(low * self.n + high)
+                sources.append(place[:, pair][keep])
+            v = pattern.vertices.shape[1]
+            place = offset + e * 6 * m * m + np.arange(e * 3 * m * v).reshape(e, 3, m, v)
+            for i in range(3):
+                row = equations[:, :, None, i]
+                column = pressure[:, None, :]
+                keep = (row >= 0) & (column >= 0)
+                row, column = np.broadcast_arrays(row, column)
+                keys.append(row[keep] * self.n + column[keep])
+                sources.append(place[:, i][keep])
+        diagonal = np.arange(self.n) * (self.n + 1)
+        all_keys = np.concatenate([*keys, diagonal])
+        all_sources = np.concatenate(sources)
+        order = np.argsort(all_keys, kind="stable")
+        ordered = all_keys[order]
+        new = np.concatenate([[True], ordered[1:] != ordered[:-1]])
+        rows, columns = np.divmod(ordered[new], self.n)
+        self._indices = columns.astype(np.int32)
+        counts = np.bincount(rows, minlength=self.n)
+        self._indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        # The diagonal is in the structure even where nothing is added to it.
+        real = order < len(all_sources)
+        entry = np.cumsum(new) - 1
+        starts = np.concatenate([[0], np.cumsum(np.bincount(entry[real], minlength=new.sum()))])
+        self._starts = starts
+        self._sources = all_sources[order[real]].astype(np.int32)
+
+    def clear(self) -> None:
+        """Set all element arrays to zero."""
+        self._values[:] = 0.0
+        for group in self.groups:
+            group.residual[:] = 0.0
+            group.pressure_residual[:] = 0.0
+
+    def forces(self) -> Array:
+        """Return the residual of every parameter, fixed ones included, (n_params, 3)."""
+        out = np.zeros(self.equations.size)
+        for group in self.groups:
+            index = group.pattern.params[:, :, None] * 3 + np.arange(3)
+            out += np.bincount(index.ravel(), group.residual.ravel(), minlength=len(out))
+        return out.reshape(-1, 3)
+
+    def residual(self) -> Array:
+        """Return the residual of the free unknowns, (n,)."""
+        out = np.zeros(self.n)
+        free = self.equations >= 0
+        out[self.equations[free]] = self.forces()[free]
+        for group in self.groups:
+            equations = self.pressure_equations[group.pattern.vertices]
+            keep = equations >= 0
+            out += np.bincount(equations[keep], group.pressure_residual[keep], minlength=self.n)
+        return out
+
+    def matrix(self) -> sp.csr_matrix:
+        """Return the upper triangle of the tangent of the free unknowns."""
+        data = np.empty(len(self._indices))
+        kernels.gather(self._starts, self._sources, self._values, data)
+        return sp.csr_matrix((data, self._indices, self._indptr), shape=(self.n, self.n))
+
+    def multiply(self, direction: Array) -> Array:
+        """Return the tangent of the free unknowns times a change of all parameters.
+
+        Parameters
+        ----------
+        direction : (n_params, 3) array
+            Change of the parameters, fixed ones included.
+
+        Returns
+        -------
+        (n,) array
+        """
+        forces = np.zeros(direction.size)
+        out = np.zeros(self.n)
+        for group in self.groups:
+            pattern = group.pattern
+            d = direction[pattern.params] * pattern.valid[:, :, None]
+            force = np.zeros_like(d)
+            for pair, (i, j) in enumerate(PAIRS):
+                block = group.tangent[:, pair]
+                force[:, :, i] += np.einsum("eab,eb->ea", block, d[:, :, j])
+                if i != j:
+                    force[:, :, j] += np.einsum("eab,ea->eb", block, d[:, :, i])
+            index = pattern.params[:, :, None] * 3 + np.arange(3)
+            forces += np.bincount(index.ravel(), force.ravel(), minlength=len(forces))
+            equations = self.pressure_equations[pattern.vertices]
+            keep = equations >= 0
+            rate = np.einsum("eias,eai->es", group.coupling, d)
+            out += np.bincount(equations[keep], rate[keep], minlength=self.n)
+        free = self.equations >= 0
+        out[self.equations[free]] += forces.reshape(-1, 3)[free]
+        return out

@@ -1,0 +1,108 @@
+"""Which parameters a face holds: clamps and the mirror condition."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..hermite import HermiteMesh
+
+BoolArray = NDArray[np.bool_]
+
+
+def face_parameters(
+    mesh: HermiteMesh, elements: ArrayLike, axis: int, side: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the parameters that govern a face.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Of dimension 3.
+    elements : (n,) int array
+    axis, side : int
+        The face is where ``xi_axis`` equals ``side``.
+
+    Returns
+    -------
+    within : int array
+        Parameters of the position on the face (values and derivatives along it).
+    across : int array
+        Parameters of the derivatives across it.
+    """
+    rows = np.asarray(elements, dtype=np.int64)[:, None] * 64
+    found = []
+    for crossing in (0, 1):
+        local = [
+            corner * 8 + kind
+            for corner in range(8)
+            if (corner >> axis) & 1 == side
+            for kind in range(8)
+            if (kind >> axis) & 1 == crossing
+        ]
+        part = mesh.extraction[(rows + np.array(local)).ravel()]
+        found.append(np.unique(part.indices[part.data != 0.0]).astype(np.int64))
+    return found[0], found[1]
+
+
+def clamp(
+    mesh: HermiteMesh, elements: ArrayLike, axis: int, side: int, *, slope: bool = False
+) -> BoolArray:
+    """Return the mask that holds a face in place.
+
+    Parameters
+    ----------
+    mesh, elements, axis, side
+        As in `face_parameters`.
+    slope : bool
+        Whether the derivatives across the face are held as well.
+
+    Returns
+    -------
+    (n_params, 3) bool array
+        Fixed components; combine masks with ``|``.
+    """
+    within, across = face_parameters(mesh, elements, axis, side)
+    fixed = np.zeros((mesh.n_params, 3), dtype=bool)
+    fixed[within] = True
+    if slope:
+        fixed[across] = True
+    return fixed
+
+
+def symmetry_plane(
+    mesh: HermiteMesh, elements: ArrayLike, axis: int, side: int, component: int = 0
+) -> BoolArray:
+    """Return the mask that keeps a face in a mirror plane.
+
+    Across the plane the normal component of the displacement is odd and the others are
+    even: the normal component is fixed in the parameters of the face, the others in the
+    parameters of the derivatives across it.
+
+    Parameters
+    ----------
+    mesh, elements, axis, side
+        As in `face_parameters`.
+    component : int
+        Coordinate normal to the plane.
+
+    Returns
+    -------
+    (n_params, 3) bool array
+
+    Raises
+    ------
+    InputError
+        If a parameter governs both the face and the slope across it.
+    """
+    within, across = face_parameters(mesh, elements, axis, side)
+    if len(np.intersect1d(within, across)):
+        raise InputError(
+            "symmetry plane: the extraction mixes derivatives along and across the face; give "
+            "its nodes directions in the plane and normal to it"
+        )
+    fixed = np.zeros((mesh.n_params, 3), dtype=bool)
+    fixed[within, component] = True
+    fixed[np.ix_(across, np.delete(np.arange(3), component))] = True
+    return fixed

@@ -1,0 +1,379 @@
+"""The mechanical problem: a tissue mesh, its terms and constraints, and its states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError, unknown_name
+from ..hermite import HermiteMesh, basis, gauss
+from . import kernels
+from .assembly import Assembly, Pattern
+from .laws import Array
+from .terms import Fibres, Load, PointTerm
+
+IntArray = NDArray[np.int64]
+
+#: Gauss points a direction; three move the tip of a beam by several per cent.
+GAUSS = 4
+
+
+def trilinear(xi: ArrayLike) -> Array:
+    """Evaluate the eight trilinear functions at points xi (n, 3); (n, 8)."""
+    xi = np.asarray(xi, dtype=float).reshape(-1, 3)
+    out = np.ones((len(xi), 8))
+    for corner in range(8):
+        for k in range(3):
+            out[:, corner] *= xi[:, k] if (corner >> k) & 1 else 1.0 - xi[:, k]
+    return out
+
+
+@dataclass
+class Statistics:
+    """How a computation went.
+
+    Attributes
+    ----------
+    converged : bool
+    steps, newton_iterations, factorisations : int
+    solve_s : float
+        Wall time of the solve in seconds.
+    J_min, J_max : float
+        Volume ratio over all Gauss points.
+    volume_change : float
+        Of the whole tissue, relative to rest.
+    max_penetration_mm : float
+    wrong_pivots : int or None
+        Negative pivots beyond the number of pressures in the last factorisation; not 0
+        means that the state is not a stable equilibrium. None when the solver cannot tell.
+    """
+
+    converged: bool = True
+    steps: int = 0
+    newton_iterations: int = 0
+    factorisations: int = 0
+    solve_s: float = 0.0
+    J_min: float = 1.0
+    J_max: float = 1.0
+    volume_change: float = 0.0
+    max_penetration_mm: float = 0.0
+    wrong_pivots: int | None = None
+
+    def as_dict(self) -> dict[str, float | int | bool | None]:
+        """Return the figures for a report."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class State:
+    """A configuration of the tissue.
+
+    Attributes
+    ----------
+    reference : HermiteMesh
+        The tissue at rest.
+    parameters : (n_params, 3) array
+        Deformed parameters in mm.
+    pressure : (n_vertices,) array
+        Lagrange multiplier in kPa.
+    vertices : (n_elements, 8) int array
+        Pressure of each corner.
+    load : Load
+    statistics : Statistics
+    """
+
+    reference: HermiteMesh
+    parameters: Array
+    pressure: Array
+    vertices: IntArray
+    load: Load = field(default_factory=Load)
+    statistics: Statistics = field(default_factory=Statistics)
+
+    @property
+    def displacement(self) -> Array:
+        """Displacement of the parameters, (n_params, 3)."""
+        return self.parameters - self.reference.parameters
+
+    @property
+    def activations(self) -> dict[str, float]:
+        """Activation of every muscle that is not at rest."""
+        return {name: a for name, a in self.load.activations.items() if a != 0.0}
+
+    @property
+    def mesh(self) -> HermiteMesh:
+        """The deformed mesh."""
+        return self.reference.with_parameters(self.parameters)
+
+    def deformation_gradient(self, elements: ArrayLike, xi: ArrayLike) -> Array:
+        """Return ``F`` at points of the mesh, (n, 3, 3)."""
+        rest = self.reference.jacobian(elements, xi)
+        return np.asarray(self.mesh.jacobian(elements, xi) @ np.linalg.inv(rest))
+
+    def volume_ratio(self, elements: ArrayLike, xi: ArrayLike) -> Array:
+        """Return ``J`` at points of the mesh, (n,)."""
+        return np.asarray(np.linalg.det(self.deformation_gradient(elements, xi)))
+
+    def stretch(self, elements: ArrayLike, xi: ArrayLike, directions: ArrayLike) -> Array:
+        """Return the stretch along unit reference directions (n, 3) at points, (n,)."""
+        f = self.deformation_gradient(elements, xi)
+        moved = np.einsum("nik,nk->ni", f, np.asarray(directions, dtype=float))
+        return np.asarray(np.linalg.norm(moved, axis=1))
+
+    def pressure_at(self, elements: ArrayLike, xi: ArrayLike) -> Array:
+        """Return the Lagrange multiplier in kPa at points of the mesh, (n,)."""
+        corners = self.pressure[self.vertices[np.asarray(elements)]]
+        return np.asarray((trilinear(xi) * corners).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Result of one pass over all terms.
+
+    Attributes
+    ----------
+    energies : dict of str to float
+        By term, in mN mm.
+    residual : (n,) array
+        Of the free unknowns.
+    volume_ratio : (n_elements, q) array
+        ``J`` at the Gauss points.
+    """
+
+    energies: dict[str, float]
+    residual: Array
+    volume_ratio: Array
+
+    @property
+    def energy(self) -> float:
+        """Sum over all terms."""
+        return sum(self.energies.values())
+
+
+class Problem:
+    """Quasi-static equilibrium of a muscle-driven tissue.
+
+    Everything that depends on the resting shape alone is computed here, once.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest, of dimension 3.
+    coefficients : (3,) or (n_elements, q, 3) array
+        ``(c10, c01, c20)`` in kPa, at each Gauss point of `gauss_points` or everywhere.
+    kappa : float
+        Volumetric stiffness in kPa beside the pressure.
+    terms : sequence of PointTerm
+    fixed : (n_params, 3) bool array, optional
+        Parameters that do not move except as prescribed.
+
+    Raises
+    ------
+    InputError
+        If the mesh is inverted at a Gauss point or an array does not fit it.
+    """
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        coefficients: ArrayLike,
+        *,
+        kappa: float = 50.0,
+        terms: Sequence[PointTerm] = (),
+        fixed: NDArray[np.bool_] | None = None,
+    ) -> None:
+        if mesh.dim != 3:
+            raise InputError(f"mesh: it has dimension {mesh.dim}; give a volume mesh")
+        self.mesh = mesh
+        self.terms = tuple(terms)
+        self.kappa = float(kappa)
+        self.fixed = np.zeros((mesh.n_params, 3), dtype=bool) if fixed is None else fixed
+        self.vertices, first = mesh.corner_nodes()
+        n_vertices = len(first)
+
+        xi, weights = gauss(3, GAUSS)
+        e, q = mesh.n_elements, len(weights)
+        hosts = np.repeat(np.arange(e), 64)
+        self.pattern = Pattern.from_functions(mesh.extraction, hosts, e, self.vertices)
+        extraction = self.pattern.dense(mesh.extraction, hosts).reshape(e, 64, -1)
+        slopes = np.stack([basis(3, xi, unit) for unit in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
+        jacobian = np.einsum("kql,eli->eqik", slopes, mesh.local(), optimize=True)
+        volume = np.linalg.det(jacobian)
+        if not (volume > 0.0).all():
+            worst = int(np.argmin(volume.min(axis=1)))
+            raise InputError(
+                f"mesh: element {worst} is inverted at {int((volume <= 0.0).sum())} Gauss points "
+                "in all; mend the mesh"
+            )
+        inverse = np.linalg.inv(jacobian)
+        m = extraction.shape[2]
+        self._gradients = np.empty((e, 3 * q, m))
+        for element in range(e):
+            local = np.einsum("kql,qkK->qKl", slopes, inverse[element], optimize=True)
+            self._gradients[element] = local.reshape(3 * q, 64) @ extraction[element]
+        self._psi = trilinear(xi)
+        self.weights = weights * volume
+        self._coefficients = np.ascontiguousarray(
+            np.broadcast_to(np.asarray(coefficients, dtype=float), (e, q, 3))
+        )
+
+        patterns = [self.pattern]
+        self._bound: list[tuple[PointTerm, int, Array, IntArray]] = []
+        for term in self.terms:
+            own = term.pattern()
+            if own is not None:
+                patterns.append(own)
+            pattern = self.pattern if own is None else own
+            counts = np.bincount(term.hosts, minlength=len(pattern.params))
+            starts = np.concatenate([[0], np.cumsum(counts)])
+            group = 0 if own is None else len(patterns) - 1
+            self._bound.append((term, group, pattern.dense(term.functions, term.hosts), starts))
+        self.assembly = Assembly(patterns, self.fixed, n_vertices)
+        squares = np.einsum("eq,eqa->ea", self.weights, (basis(3, xi) @ extraction) ** 2)
+        mass = np.bincount(self.pattern.params.ravel(), squares.ravel(), minlength=mesh.n_params)
+        number = np.argwhere(self.assembly.equations >= 0)[:, 0]
+        self._mass = mass[number] / self.weights.sum()
+
+    @staticmethod
+    def gauss_points(mesh: HermiteMesh) -> tuple[IntArray, Array]:
+        """Return the points at which coefficients are given: elements (e q,), xi (e q, 3)."""
+        elements, xi, _ = mesh.gauss_points(GAUSS)
+        return elements, xi
+
+    @property
+    def muscles(self) -> tuple[str, ...]:
+        """Names of all muscles."""
+        names: list[str] = []
+        for term in self.terms:
+            if isinstance(term, Fibres):
+                names += term.names
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of free displacement components and pressures."""
+        return self.assembly.n
+
+    def load(self, activations: Mapping[str, float], prescribed: Array | None = None) -> Load:
+        """Check activations and make a load of them.
+
+        Raises
+        ------
+        InputError
+            If a muscle is not known or an activation is not within 0..1.
+        """
+        for name, value in activations.items():
+            if name not in self.muscles:
+                raise unknown_name("muscle", name, self.muscles)
+            if not 0.0 <= value <= 1.0:
+                raise InputError(f"{name}: activation {value} is not within 0..1; mend it")
+        return Load(dict(activations), prescribed)
+
+    def rest(self) -> State:
+        """Return the tissue at rest."""
+        pressure = np.zeros(len(self.assembly.pressure_equations))
+        return State(self.mesh, self.mesh.parameters.copy(), pressure, self.vertices)
+
+    def prescribe(self, load: Load) -> Array:
+        """Return the parameters (n_params, 3) at which a load holds the fixed ones."""
+        if load.prescribed is None:
+            return self.mesh.parameters.copy()
+        return np.asarray(self.mesh.parameters + load.prescribed)
+
+    def size(self, change: Array) -> float:
+        """Return the size of a change of the unknowns: displacement, root mean square in mm.
+
+        Each parameter counts with the mean square of its function over the tissue.
+        """
+        moved = change[: self.assembly.n_displacements]
+        return float(np.sqrt((self._mass * moved**2).sum()))
+
+    def add(self, state: State, change: Array, factor: float = 1.0) -> tuple[Array, Array]:
+        """Return parameters and pressures after a change of the unknowns (n,)."""
+        parameters, pressure = state.parameters.copy(), state.pressure.copy()
+        free = self.assembly.equations >= 0
+        parameters[free] += factor * change[self.assembly.equations[free]]
+        active = self.assembly.pressure_equations >= 0
+        pressure[active] += factor * change[self.assembly.pressure_equations[active]]
+        return parameters, pressure
+
+    def evaluate(
+        self, parameters: Array, pressure: Array, load: Load, *, tangent: bool = False
+    ) -> Evaluation:
+        """Integrate every term; with ``tangent`` the element tangents are renewed too."""
+        base = self.assembly.groups[0]
+        if tangent:
+            self.assembly.clear()
+        else:
+            for group in self.assembly.groups:
+                group.residual[:] = 0.0
+        volume_ratio = np.empty(self.weights.shape)
+        energies = {
+            "tissue": float(
+                kernels.bulk(
+                    parameters,
+                    pressure,
+                    base.pattern.params,
+                    base.pattern.vertices,
+                    self._gradients,
+                    self._psi,
+                    self.weights,
+                    self._coefficients,
+                    self.kappa,
+                    tangent,
+                    base.residual,
+                    base.tangent,
+                    base.coupling,
+                    base.pressure_residual,
+                    volume_ratio,
+                )
+            )
+        }
+        for term, number, functions, starts in self._bound:
+            group = self.assembly.groups[number]
+            vectors = kernels.evaluate(parameters, group.pattern.params, term.hosts, functions)
+            answer = term.respond(vectors, load)
+            energies[term.name] = energies.get(term.name, 0.0) + float(answer.energies.sum())
+            kernels.scatter_points(
+                starts,
+                functions,
+                answer.forces,
+                answer.stiffness,
+                tangent,
+                group.residual,
+                group.tangent,
+            )
+        return Evaluation(energies, self.assembly.residual(), volume_ratio)
+
+    def tangent(self) -> sp.csr_matrix:
+        """Return the upper triangle of the tangent of the last evaluation that renewed it."""
+        return self.assembly.matrix()
+
+    def update(self, parameters: Array) -> None:
+        """Let the terms refresh what they keep fixed within a load step."""
+        for term in self.terms:
+            term.update(parameters)
+
+    def penetration(self, parameters: Array) -> float:
+        """Return the greatest interpenetration of any contact in mm."""
+        return max(
+            (term.penetration(np.asarray(term.functions @ parameters)) for term in self.terms),
+            default=0.0,
+        )
+
+    def check(self, parameters: Array, volume_ratio: Array) -> Statistics:
+        """Return the figures that describe a state rather than the way to it."""
+        return Statistics(
+            J_min=float(volume_ratio.min()),
+            J_max=float(volume_ratio.max()),
+            volume_change=float((self.weights * volume_ratio).sum() / self.weights.sum() - 1.0),
+            max_penetration_mm=self.penetration(parameters),
+        )
+
+    def where(self, element: int) -> str:
+        """Describe an element for a message."""
+        place = self.mesh.evaluate([element], [[0.5, 0.5, 0.5]])[0]
+        return f"element {element} near ({', '.join(f'{c:.0f}' for c in place)}) mm"

@@ -1,0 +1,269 @@
+"""Terms of the energy that live at points: fibres and springs.
+
+Every such term is an energy of one vector a point, ``v = Σ_a s_a x_a``, linear in the
+parameters ``x``: a position, a fibre vector ``F f0`` or the difference of two positions.
+A term says what its functionals ``s`` are and returns energy, force ``∂e/∂v`` and
+stiffness ``∂²e/∂v²``; the element arrays follow from these alone.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..hermite import HermiteMesh
+from . import kernels
+from .assembly import Pattern
+from .laws import Array, FibreLaw
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Load:
+    """What drives a problem.
+
+    Attributes
+    ----------
+    activations : mapping of str to float
+        0..1 by muscle; muscles that are not named rest.
+    prescribed : (n_params, 3) array, optional
+        Displacement of the fixed parameters in mm; zero by default.
+    """
+
+    activations: Mapping[str, float] = field(default_factory=dict)
+    prescribed: Array | None = None
+
+    def towards(self, target: Load, fraction: float) -> Load:
+        """Return the load a fraction of the way to ``target``."""
+        names = {*self.activations, *target.activations}
+        activations = {
+            name: (1.0 - fraction) * self.activations.get(name, 0.0)
+            + fraction * target.activations.get(name, 0.0)
+            for name in sorted(names)
+        }
+        if self.prescribed is None and target.prescribed is None:
+            return Load(activations)
+        start = 0.0 if self.prescribed is None else self.prescribed
+        end = 0.0 if target.prescribed is None else target.prescribed
+        return Load(activations, np.asarray((1.0 - fraction) * start + fraction * end))
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a term answers at its points.
+
+    Attributes
+    ----------
+    energies : (n,) array
+        In mN mm.
+    forces : (n, 3) array
+        Derivative by the vector.
+    stiffness : (n, 6) array
+        Second derivatives, component pairs 00, 01, 02, 11, 12, 22.
+    """
+
+    energies: Array
+    forces: Array
+    stiffness: Array
+
+
+class PointTerm(ABC):
+    """A term of the energy at points.
+
+    Parameters
+    ----------
+    name : str
+        For messages and reports.
+    functions : CSR matrix (n, n_params)
+        The functional of each point.
+    hosts : (n,) int array
+        Element of each point, ascending.
+    """
+
+    name: str
+    functions: sp.csr_matrix
+    hosts: IntArray
+
+    def __init__(self, name: str, functions: sp.csr_matrix, hosts: ArrayLike) -> None:
+        self.name = name
+        self.functions = functions
+        self.hosts = np.asarray(hosts, dtype=np.int64)
+
+    def pattern(self) -> Pattern | None:
+        """Return the term's own pattern, or None when its hosts are the mesh's elements."""
+        return None
+
+    @abstractmethod
+    def respond(self, vectors: Array, load: Load) -> Response:
+        """Evaluate energy, force and stiffness for the points' vectors (n, 3)."""
+
+    def update(self, parameters: Array) -> None:  # noqa: B027
+        """Refresh what is kept fixed within a load step from converged parameters."""
+
+    def penetration(self, vectors: Array) -> float:
+        """Return the greatest depth of interpenetration in mm (0 where it has no meaning)."""
+        return 0.0
+
+
+def by_host(hosts: ArrayLike) -> IntArray:
+    """Return the order that sorts points by their host."""
+    return np.argsort(np.asarray(hosts), kind="stable")
+
+
+@dataclass(frozen=True)
+class FibreQuadrature:
+    """Points at which muscle stress is integrated.
+
+    Attributes
+    ----------
+    elements : (n,) int array
+        Host element of the tissue mesh.
+    xi : (n, 3) array
+    weights : (n,) array
+        Reference volume in mm³.
+    directions : (n, 3) array
+        Unit fibre direction in the reference configuration.
+    muscles : (n,) int array
+        Index of the muscle.
+    """
+
+    elements: IntArray
+    xi: Array
+    weights: Array
+    directions: Array
+    muscles: IntArray
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[FibreQuadrature]) -> FibreQuadrature:
+        """Join quadratures whose muscle indices already agree."""
+        return cls(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("elements", "xi", "weights", "directions", "muscles")
+            )
+        )
+
+    def take(self, points: NDArray[np.int64] | NDArray[np.bool_]) -> FibreQuadrature:
+        """Return some of the points, in the given order."""
+        return FibreQuadrature(
+            self.elements[points],
+            self.xi[points],
+            self.weights[points],
+            self.directions[points],
+            self.muscles[points],
+        )
+
+
+def fibre_functions(
+    mesh: HermiteMesh, elements: ArrayLike, xi: ArrayLike, directions: ArrayLike
+) -> sp.csr_matrix:
+    """Return the operator (n, n_params) whose value is the fibre vector ``F f0``.
+
+    ``s_a = ∇_X N_a · f0``, with the reference gradient of the global functions.
+    """
+    jacobian = mesh.jacobian(elements, xi)
+    slopes = np.linalg.solve(jacobian, np.asarray(directions, dtype=float)[:, :, None])[:, :, 0]
+    total: sp.csr_matrix | None = None
+    for k in range(3):
+        unit = [int(k == axis) for axis in range(3)]
+        part = sp.diags_array(slopes[:, k]) @ mesh.functions(elements, xi, unit)
+        total = part if total is None else total + part
+    return sp.csr_matrix(total)
+
+
+class Fibres(PointTerm):
+    """Active and passive stress of the embedded muscles.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest.
+    quadrature : FibreQuadrature
+    names : sequence of str
+        Muscle of each index.
+    law : FibreLaw
+    slacks : mapping of str to float
+        Stretch from which a muscle's passive fibres are taut; 1 for those not named.
+    """
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        quadrature: FibreQuadrature,
+        names: Sequence[str],
+        law: FibreLaw | None = None,
+        slacks: Mapping[str, float] | None = None,
+    ) -> None:
+        quadrature = quadrature.take(by_host(quadrature.elements))
+        functions = fibre_functions(mesh, quadrature.elements, quadrature.xi, quadrature.directions)
+        super().__init__("fibres", functions, quadrature.elements)
+        self.quadrature = quadrature
+        self.names = tuple(names)
+        self.law = FibreLaw() if law is None else law
+        self.slacks = np.array([(slacks or {}).get(name, 1.0) for name in self.names])
+
+    def respond(self, vectors: Array, load: Load) -> Response:
+        """Evaluate the fibre potential ``ψ(|F f0|)``."""
+        n = len(vectors)
+        out = Response(np.empty(n), np.empty((n, 3)), np.empty((n, 6)))
+        kernels.fibres(
+            vectors,
+            self.quadrature.weights,
+            self.quadrature.muscles,
+            np.array([load.activations.get(name, 0.0) for name in self.names]),
+            self.slacks,
+            self.law.array(),
+            out.energies,
+            out.forces,
+            out.stiffness,
+        )
+        return out
+
+
+class Springs(PointTerm):
+    """Tissue points tied to their place at rest: origins, ligaments.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest.
+    elements, xi : (n,), (n, 3) arrays
+    stiffness : (n,) array or float
+        Of each point, in mN/mm.
+    name : str
+    """
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        elements: ArrayLike,
+        xi: ArrayLike,
+        stiffness: ArrayLike,
+        name: str = "springs",
+    ) -> None:
+        order = by_host(elements)
+        elements = np.asarray(elements)[order]
+        xi = np.asarray(xi, dtype=float)[order]
+        super().__init__(name, mesh.functions(elements, xi), elements)
+        self.stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), order.shape)[order]
+        if not (self.stiffness >= 0.0).all():
+            raise InputError(f"{name}: a stiffness is negative or NaN; give values from 0 up")
+        self.rest = np.asarray(self.functions @ mesh.parameters)
+
+    def respond(self, vectors: Array, load: Load) -> Response:
+        """Evaluate ``k/2 |x - X|²``."""
+        moved = vectors - self.rest
+        k = self.stiffness
+        zero = np.zeros_like(k)
+        return Response(
+            0.5 * k * (moved**2).sum(axis=1),
+            k[:, None] * moved,
+            np.stack([k, zero, zero, k, zero, k], axis=1),
+        )

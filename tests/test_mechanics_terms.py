@@ -1,0 +1,320 @@
+"""Every term's residual is the derivative of its energy, every tangent that of its residual."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modiolus import hermite
+from modiolus.mechanics import (
+    FibreQuadrature,
+    Fibres,
+    Load,
+    PairContact,
+    Problem,
+    RigidContact,
+    Springs,
+    clamp,
+    face_points,
+    symmetry_plane,
+)
+from modiolus.mechanics.laws import MUSCLE, FibreLaw, active_force, fibre, passive, passive_force
+
+RNG = np.random.default_rng(20)
+
+
+class Sphere:
+    """Signed distance of a sphere."""
+
+    def __init__(self, centre, radius):
+        self.centre, self.radius = np.asarray(centre, dtype=float), radius
+
+    def sample(self, points):
+        away = points - self.centre
+        length = np.linalg.norm(away, axis=1)
+        normal = away / length[:, None]
+        outer = normal[:, :, None] * normal[:, None, :]
+        return length - self.radius, normal, (np.eye(3) - outer) / length[:, None, None]
+
+
+def distorted(counts=(2, 2, 1), size=(20.0, 16.0, 6.0), amount=0.6, seed=3):
+    rng = np.random.default_rng(seed)
+    ticks = [np.linspace(0.0, s, n + 1) for n, s in zip(counts, size, strict=True)]
+    mesh = hermite.grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+    noise = rng.uniform(-amount, amount, mesh.parameters.shape)
+    noise[7::8] *= 0.3
+    return mesh.with_parameters(mesh.parameters + noise)
+
+
+def scattered(mesh, n=40, muscles=2, seed=4):
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(n, 3))
+    return FibreQuadrature(
+        rng.integers(0, mesh.n_elements, n),
+        rng.uniform(0.0, 1.0, (n, 3)),
+        rng.uniform(5.0, 20.0, n),
+        directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        rng.integers(0, muscles, n),
+    )
+
+
+MESH = distorted()
+LOAD = Load({"first": 0.7, "second": 0.2})
+# The faces y = 8 and y = 0, which are 8 mm apart.
+FACING = face_points(MESH, [2, 3], 1, 0, 3)
+
+
+def terms(mesh=MESH):
+    rng = np.random.default_rng(5)
+    far = (np.array([0, 1]).repeat(9), FACING[1] * [1.0, 0.0, 1.0])
+    pairs = PairContact(mesh, FACING[:2], far, 1, FACING[2])
+    pairs.least += 7.5  # as if only 0.5 mm lay between the faces
+    inner = face_points(mesh, np.arange(mesh.n_elements), 2, 0, 3)
+    return {
+        "tissue": None,
+        "fibres": Fibres(
+            mesh, scattered(mesh), ("first", "second"), FibreLaw(optimal=1.1), {"second": 0.9}
+        ),
+        "springs": Springs(
+            mesh, rng.integers(0, 4, 12), rng.uniform(size=(12, 3)), rng.uniform(1, 50, 12)
+        ),
+        "contact": RigidContact(
+            mesh, Sphere((10, 8, -30), 30.3), *inner, slide=np.full(len(inner[0]), 0.2)
+        ),
+        "pair contact": pairs,
+    }
+
+
+TERMS = terms()
+
+
+def problem(name):
+    if name == "tissue":
+        chosen = []
+    elif name == "all":
+        chosen = [term for term in TERMS.values() if term is not None]
+    else:
+        chosen = [TERMS[name]]
+    coefficients = np.array([2.0, 1.1, 0.4])
+    fixed = clamp(MESH, [0, 2], 0, 0)
+    return Problem(MESH, coefficients, kappa=20.0, terms=chosen, fixed=fixed)
+
+
+def somewhere(problem, amount=0.4, seed=6):
+    rng = np.random.default_rng(seed)
+    rest = problem.rest()
+    moved = rng.uniform(-amount, amount, rest.parameters.shape)
+    # Squeezed in direction 1, so that the facing surfaces overlap.
+    moved[:, 1] -= 0.25 * rest.parameters[:, 1]
+    moved[problem.fixed] = 0.0
+    return rest.parameters + moved, rng.uniform(-3.0, 3.0, rest.pressure.shape)
+
+
+NAMES = ["tissue", "fibres", "springs", "contact", "pair contact", "all"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_residual_and_tangent_match_finite_differences(name):
+    p = problem(name)
+    parameters, pressure = somewhere(p)
+    state = p.rest()
+    state.parameters[:], state.pressure[:] = parameters, pressure
+    found = p.evaluate(parameters, pressure, LOAD, tangent=True)
+    upper = p.tangent()
+    full = (upper + sp.triu(upper, 1).T).toarray()
+    if name not in ("tissue", "all"):
+        assert found.energies[name] > 0.0
+    rng = np.random.default_rng(7)
+    for _ in range(4):
+        direction = rng.normal(size=p.n_unknowns)
+        h = 1e-5
+        ahead = p.evaluate(*p.add(state, direction, h), LOAD)
+        behind = p.evaluate(*p.add(state, direction, -h), LOAD)
+        slope = (ahead.energy - behind.energy) / (2 * h)
+        assert slope == pytest.approx(found.residual @ direction, rel=2e-6, abs=1e-6)
+        rate = (ahead.residual - behind.residual) / (2 * h)
+        expected = full @ direction
+        assert np.abs(rate - expected).max() < 2e-6 * np.abs(expected).max()
+
+
+def test_product_with_fixed_parameters_matches_finite_differences():
+    p = problem("all")
+    parameters, pressure = somewhere(p)
+    direction = np.random.default_rng(8).normal(size=parameters.shape)
+    p.evaluate(parameters, pressure, LOAD, tangent=True)
+    product = p.assembly.multiply(direction)
+    h = 1e-5
+    ahead = p.evaluate(parameters + h * direction, pressure, LOAD).residual
+    behind = p.evaluate(parameters - h * direction, pressure, LOAD).residual
+    assert np.abs((ahead - behind) / (2 * h) - product).max() < 2e-6 * np.abs(product).max()
+
+
+@given(st.integers(0, 10**6), st.sampled_from(sorted(MUSCLE)))
+@settings(max_examples=30, deadline=None)
+def test_passive_law_is_frame_indifferent_and_symmetric(seed, name):
+    rng = np.random.default_rng(seed)
+    f = np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    rotation *= np.linalg.det(rotation)
+    c = MUSCLE[name].array()
+    stress, turned, tangent = np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 3, 3))
+    energy, ratio = passive(f, c, 20.0, 1.5, stress, tangent, True)
+    assert ratio == pytest.approx(np.linalg.det(f))
+    assert passive(rotation @ f, c, 20.0, 1.5, turned, tangent, True)[0] == pytest.approx(energy)
+    assert np.allclose(turned, rotation @ stress)
+    cauchy = stress @ f.T
+    assert np.allclose(cauchy, cauchy.T)
+    for pair in (0, 3, 5):
+        assert np.allclose(tangent[pair], tangent[pair].T)
+
+
+def test_passive_law_is_at_rest_without_deformation():
+    stress, tangent = np.empty((3, 3)), np.empty((6, 3, 3))
+    energy, _ = passive(np.eye(3), MUSCLE["wu2013"].array(), 20.0, 0.0, stress, tangent, True)
+    assert energy == pytest.approx(0.0, abs=1e-14)
+    assert np.abs(stress).max() < 1e-14
+    # Shear modulus 2 (c1 + c2) = 7.35 kPa.
+    assert tangent[0, 1, 1] == pytest.approx(7.35)
+
+
+@given(st.floats(0.35, 2.0))
+@settings(max_examples=60, deadline=None)
+def test_fibre_curves_are_derivatives_of_each_other(r):
+    h = 1e-6
+    kinks = np.array([0.4, 0.6, 1.0, 1.4, 1.6])
+    if np.abs(kinks - r).min() < 2 * h:
+        return
+    for curve in (active_force, lambda x: passive_force(x, 0.05, 6.6, 1.4)):
+        (a, fa, _), (b, fb, _) = curve(r - h), curve(r + h)
+        _, value, slope = curve(r)
+        assert (b - a) / (2 * h) == pytest.approx(value, abs=1e-7)
+        assert (fb - fa) / (2 * h) == pytest.approx(slope, abs=1e-5)
+
+
+def test_fibre_curve_has_the_published_values():
+    # Blemker et al. 2005: f_act(1) = 1, f_act(0.5) = 0.09; FEBio mu02 rests at 0.673.
+    assert active_force(1.0)[1] == pytest.approx(1.0)
+    assert active_force(0.5)[1] == pytest.approx(0.09)
+    assert active_force(1 / 1.4)[1] == pytest.approx(0.673, abs=5e-4)
+    assert passive_force(1.2, 0.05, 6.6, 1.4)[1] == pytest.approx(0.05 * (np.exp(1.32) - 1))
+    energy, force, _ = fibre(0.95, 0.0, 1.0, FibreLaw().array())
+    assert energy == force == 0.0
+    assert fibre(1.1, 0.0, 1.2, FibreLaw().array())[1] == 0.0
+
+
+@pytest.mark.parametrize("name", ["tissue", "fibres"])
+def test_rigid_motion_costs_nothing(name):
+    chosen = [] if name == "tissue" else [TERMS["fibres"]]
+    p = Problem(MESH, [2.0, 1.1, 0.4], terms=chosen)
+    rest = p.rest()
+    rotation, _ = np.linalg.qr(RNG.normal(size=(3, 3)))
+    rotation *= np.linalg.det(rotation)
+    turned = rest.parameters @ rotation.T
+    turned[::8] += [3.0, -2.0, 5.0]
+    load = LOAD if name == "fibres" else Load()
+    before = p.evaluate(rest.parameters, rest.pressure, load)
+    forces = p.assembly.forces()
+    after = p.evaluate(turned, rest.pressure, load)
+    assert after.energy == pytest.approx(before.energy, abs=1e-9)
+    assert np.allclose(p.assembly.forces(), forces @ rotation.T, atol=1e-7)
+    if name == "tissue":
+        assert np.abs(after.residual).max() < 1e-9
+
+
+def test_at_rest_nothing_pushes():
+    p = problem("all")
+    rest = p.rest()
+    passive_only = p.evaluate(rest.parameters, rest.pressure, Load())
+    # The second muscle's passive fibres are taut at rest here, and nothing else acts.
+    energies = passive_only.energies
+    assert {k: v for k, v in energies.items() if k != "fibres"} == pytest.approx(
+        {"tissue": 0.0, "springs": 0.0, "contact": 0.0, "pair contact": 0.0}, abs=1e-10
+    )
+    assert p.penetration(rest.parameters) < 1e-12
+
+
+def test_fibre_at_a_point_follows_the_closed_form():
+    # A unit cube stretched along x by 1.2 at constant volume: psi(1.2) per volume.
+    mesh = hermite.grid(np.stack(np.meshgrid(*[[0.0, 1.0]] * 3, indexing="ij"), axis=-1))
+    elements, xi, weights = mesh.gauss_points(4)
+    directions = np.tile([1.0, 0.0, 0.0], (len(elements), 1))
+    rule = FibreQuadrature(elements, xi, weights, directions, np.zeros(len(elements), dtype=int))
+    p = Problem(mesh, [0.5, 0.0, 0.0], terms=[Fibres(mesh, rule, ["only"])])
+    stretch = 1.2
+    moved = mesh.parameters * [stretch, stretch**-0.5, stretch**-0.5]
+    found = p.evaluate(moved, np.zeros(8), Load({"only": 0.3}))
+    energy, force, _ = fibre(stretch, 0.3, 1.0, FibreLaw().array())
+    assert found.energies["fibres"] == pytest.approx(energy)
+    # Work conjugate of the stretch, from all nodal forces.
+    rate = mesh.parameters * [1.0, -0.5 * stretch**-1.5, -0.5 * stretch**-1.5]
+    p.evaluate(moved, np.zeros(8), Load())
+    without = (p.assembly.forces() * rate).sum()
+    p.evaluate(moved, np.zeros(8), Load({"only": 0.3}))
+    with_passive = fibre(stretch, 0.0, 1.0, FibreLaw().array())[1]
+    assert (p.assembly.forces() * rate).sum() - without == pytest.approx(force - with_passive)
+
+
+def test_contact_measures_gap_and_penetration():
+    mesh = hermite.grid(np.stack(np.meshgrid(*[[0.0, 10.0]] * 3, indexing="ij"), axis=-1))
+    points = face_points(mesh, [0], 2, 0, 4)
+    assert points[2].sum() == pytest.approx(100.0)
+    assert np.allclose(mesh.evaluate(*points[:2])[:, 2], 0.0)
+    radius = 1e6
+    # A nearly plane body 0.3 mm below the face.
+    contact = RigidContact(mesh, Sphere((5, 5, -radius - 0.3), radius), *points, stiffness=50.0)
+    sunk = mesh.parameters.copy()
+    sunk[::8, 2] -= 0.5
+    vectors = contact.functions @ sunk
+    assert contact.penetration(vectors) == pytest.approx(0.2, abs=1e-4)
+    answer = contact.respond(vectors, Load())
+    assert answer.energies.sum() == pytest.approx(0.5 * 50 * 0.2**2 * 100, rel=1e-3)
+    assert answer.forces.sum(axis=0) == pytest.approx([0, 0, -50 * 0.2 * 100], rel=1e-3, abs=0.1)
+    # Lifted off, only the sliding zone holds back.
+    lifted = vectors + np.array([0.0, 0.0, 1.0])
+    assert contact.respond(lifted, Load()).energies.sum() == 0.0
+    held = RigidContact(
+        mesh, Sphere((5, 5, -radius - 0.3), radius), *points, 50.0, np.full(16, 0.1)
+    )
+    lift = (np.maximum(0.5, 0.0)) ** 2  # lifted by 1 - 0.5 from the rest distance
+    assert held.respond(lifted, Load()).energies.sum() == pytest.approx(
+        0.5 * 5.0 * lift * 100, rel=1e-3
+    )
+
+
+def test_pair_contact_measures_overlap_and_turns_with_the_surfaces():
+    ticks = [np.array([0.0, 10.0]), np.array([0.0, 10.0, 20.0]), np.array([0.0, 10.0])]
+    whole = hermite.grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+    corners = np.arange(8)
+    nodal = whole.parameters.reshape(-1, 8, 3)
+    links = hermite.grid_connectivity((1, 2, 1), (False,) * 3)
+    split = hermite.assemble(
+        np.stack([corners, corners + 8]), np.concatenate([nodal[links[0]], nodal[links[1]]])
+    )
+    upper = face_points(split, [1], 1, 0, 3)
+    lower = (np.zeros(9, dtype=int), upper[1] * [1, 0, 1] + [0, 1, 0])
+    contact = PairContact(split, upper[:2], lower, 1, upper[2], stiffness=20.0)
+    assert np.allclose(contact.normals, [0, 1, 0])
+    moved = split.parameters.copy()
+    moved[64::8, 1] -= 0.4
+    assert contact.penetration(contact.functions @ moved) == pytest.approx(0.4)
+    answer = contact.respond(contact.functions @ moved, Load())
+    assert answer.energies.sum() == pytest.approx(0.5 * 20 * 0.4**2 * 100)
+    moved[64::8, 1] += 0.8
+    assert contact.respond(contact.functions @ moved, Load()).energies.sum() == 0.0
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    contact.update(split.parameters @ turn.T)
+    assert np.allclose(contact.normals, [-1, 0, 0])
+
+
+def test_mirror_condition_keeps_the_mirrored_field_smooth():
+    mesh = distorted((2, 1, 1), amount=0.0)
+    fixed = symmetry_plane(mesh, [0], 0, 0)
+    rng = np.random.default_rng(9)
+    moved = rng.normal(size=fixed.shape)
+    moved[fixed] = 0.0
+    field = mesh.with_parameters(moved)
+    at = (np.zeros(5, dtype=int), np.column_stack([np.zeros(5), rng.uniform(size=(5, 2))]))
+    assert np.abs(field.evaluate(*at)[:, 0]).max() < 1e-14
+    assert np.abs(field.evaluate(*at, (1, 0, 0))[:, 1:]).max() < 1e-14
+    assert np.abs(field.evaluate(*at, (1, 0, 0))[:, 0]).max() > 0.1
