@@ -60,9 +60,9 @@ DEPTHS: dict[tuple[float, float], float] = {
     (0, 2): 11, (4, 2): 11, (8, 2): 12, (12, 2): 11,
     (0, 3): 16, (4, 3): 16, (8, 3): 16, (12, 3): 13,
     (0, 5): 16, (4, 5): 16, (8, 5): 19, (12, 5): 13,
-    (0, 7): 11, (2, 7): 11, (4, 7): 9, (6, 7): 17, (8, 7): 20, (10, 7): 18, (12, 7): 12,
-    (0, 9): 10, (4, 9): 14, (6, 9): 18, (8, 9): 20, (12, 9): 11,
-    (0, 10): 7, (2, 10): 7, (4, 10): 11, (8, 10): 18, (12, 10): 10,
+    (0, 7): 11, (2, 7): 11, (3, 7): 6, (4, 7): 7.5, (5, 7): 12, (6, 7): 17, (8, 7): 20, (10, 7): 18, (12, 7): 12,
+    (0, 9): 8.5, (4, 9): 12, (6, 9): 18, (8, 9): 20, (12, 9): 11,
+    (0, 10): 6, (2, 10): 6, (3, 10): 7, (4, 10): 10, (8, 10): 18, (12, 10): 10,
     (0, 11): 3.5, (1, 11): 3.5, (2, 11): 4, (3, 11): 4.5, (4, 11): 8, (5, 11): 12,
     (8, 11): 14, (12, 11): 9,
     (0, 12): 3, (1, 12): 3, (2, 12): 3.5, (3, 12): 4.5, (4, 12): 8, (6, 12): 11, (12, 12): 8,
@@ -290,17 +290,20 @@ def shrink(
     lids = np.isclose(row, EYE_ROW) & (column >= MEDIAL_CANTHUS) & (column <= LATERAL_CANTHUS)
     travel = np.zeros_like(lattice.points)
     stride = 0.4
+    # At the free edge the normal of a shrinking sheet is not to be trusted.
+    edge = lattice.inward(lattice.points)[ear]
 
     def hold(field: Array) -> None:
         field[middle, 0] = 0.0
         field[neck, 2] = 0.0
-        field[ear, 1] = 0.0
-        field[mouth, 0] = field[mouth, 2] = 0.0
+        field[mouth, 2] = 0.0
 
     for _ in range(80):
         points = lattice.points + travel
         direction = lattice.inward(points)
-        direction[mouth] = (0.0, 1.0, 0.0)
+        direction[ear] = edge
+        direction[mouth, 2] = 0.0
+        direction[mouth] /= np.linalg.norm(direction[mouth], axis=1, keepdims=True)
         to_eye = np.array(EYE_CENTRE) - points[lids]
         direction[lids] = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True)
         distance, gradient = _nearest(hard, points)
@@ -340,7 +343,11 @@ def build_tissue(skin: Surface, deep: Mapping[str, DistanceGrid]) -> Tissue:
     nodal, held = boundary_conditions(plan, plan.gather(outer.parameters))
     nearest = _nodes_of(plan, lattice)
     nodal[:, 0] = arrived[nearest]
-    held[:, 0] |= False
+    held[plan.node[COLUMNS], :, 1] = False
+    held[plan.along(EYE, True)] = held[plan.along(EYE, False)] = False
+    for above in (True, False):
+        held[plan.along(MOUTH, above), :, 0] = False
+    held[[plan.node[0, MOUTH_ROW], plan.upper[0, MOUTH_ROW]], ::2, 0] = True
     start = outer.with_parameters(plan.scatter(nodal))
     fixed = plan.scatter(held)
     inner_fit = fit(
