@@ -1,1 +1,72 @@
-"""The command line: ``modiolus``."""
+"""The command line, ``modiolus``: one module per command.
+
+Every command keeps to the same rules. With ``--json`` standard output carries one JSON object and
+nothing else; progress and messages go to standard error. The exit code is 0 when it is done, 1
+when the computation failed, 2 when something that was given cannot be used (one line says what,
+why and what to do) and 130 after an interruption. Outputs appear whole or not at all.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from types import FrameType
+
+__all__ = ["main"]
+
+_INTERRUPTED = 130
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and leave with its exit code.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        What follows the program's name; from the process by default.
+    """
+    sys.exit(_run(sys.argv[1:] if arguments is None else arguments))
+
+
+def _run(arguments: list[str]) -> int:
+    """Run one command and return its exit code; the one place where errors become messages."""
+    from typer.exceptions import Abort, Exit, TyperException
+
+    from modiolus.cli.app import app
+    from modiolus.errors import InputError, SolveError
+
+    # A polite kill ends like Ctrl-C: everything half-written is removed on the way out.
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        code = app(arguments, prog_name="modiolus", standalone_mode=False)
+    except (KeyboardInterrupt, Abort):
+        code = _INTERRUPTED
+    except Exit as error:
+        code = error.exit_code
+    except (InputError, TyperException) as error:
+        return _say(_one_line(error), 2)
+    except SolveError as error:
+        return _say(_one_line(error), 1)
+    except MemoryError:
+        return _say("memory: there is not enough of it; close other programs", 1)
+    except BrokenPipeError:
+        # The reader went away: nobody is left to tell.
+        sys.stderr.close()
+        return 1
+    if code == _INTERRUPTED:
+        return _say("interrupted; nothing was written", code)
+    return code if isinstance(code, int) else 0
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _one_line(error: Exception) -> str:
+    text = error.format_message() if hasattr(error, "format_message") else str(error)
+    return " ".join(text.split())
+
+
+def _say(message: str, code: int) -> int:
+    sys.stderr.write(f"modiolus: {message}\n")
+    return code

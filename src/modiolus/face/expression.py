@@ -1,0 +1,173 @@
+"""Expressions: which muscles contract, and how much."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+
+from ..errors import InputError, unknown_name
+
+__all__ = ["GROUPS", "Expression", "expression_names", "resolve"]
+
+#: Muscles that are driven in parts, under the name of the whole.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "frontalis": ("frontalis_medial", "frontalis_lateral"),
+    "orbicularis_oculi": ("orbicularis_oculi_orbital", "orbicularis_oculi_palpebral"),
+    "orbicularis_oris": ("orbicularis_oris_upper", "orbicularis_oris_lower"),
+}
+
+_SIDES = ("left", "right")
+_SHIPPED = files("modiolus.face") / "data" / "expressions"
+_KNOWN_KEYS = ("title", "source", "activations")
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A named set of activations.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"smile-closed"``.
+    activations : mapping of str to float
+        0..1, by the name of a muscle or of a group of `GROUPS`, with ``_left`` or ``_right`` for
+        one side and without for both.
+    title : str
+        The expression in words.
+    source : str
+        Where the set of muscles comes from.
+    """
+
+    name: str
+    activations: Mapping[str, float] = field(default_factory=dict)
+    title: str = ""
+    source: str = ""
+
+    @classmethod
+    def read(cls, path: str | Path) -> Expression:
+        """Read an expression from a TOML file, whose stem becomes its name.
+
+        The file has a table ``activations`` and may have a ``title`` and a ``source``.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or says something that is not understood.
+        """
+        path = Path(path)
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be read ({error.strerror}); name a TOML file"
+            ) from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: not a TOML file ({error}); mend it") from None
+        return cls._checked(path.stem, content, str(path))
+
+    @classmethod
+    def shipped(cls, name: str) -> Expression:
+        """Return one of the expressions that come with the package.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name; the message has the nearest ones.
+        """
+        if name not in expression_names():
+            raise unknown_name("expression", name, expression_names())
+        text = (_SHIPPED / f"{name}.toml").read_text(encoding="utf-8")
+        return cls._checked(name, tomllib.loads(text), f"{name}.toml")
+
+    @classmethod
+    def named(cls, name: str) -> Expression:
+        """Return a shipped expression by its name, or read the TOML file of that name."""
+        return cls.read(name) if name.endswith(".toml") else cls.shipped(name)
+
+    @classmethod
+    def _checked(cls, name: str, content: Mapping[str, object], where: str) -> Expression:
+        for key in content:
+            if key not in _KNOWN_KEYS:
+                raise InputError(f"{where}: {unknown_name('key', key, _KNOWN_KEYS)}")
+        table = content.get("activations")
+        if not isinstance(table, dict) or not table:
+            raise InputError(
+                f"{where}: it has no activations; add a table [activations] with muscle = value"
+            )
+        for muscle, value in table.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(
+                    f"{where}: activation of {muscle} is {value!r}; give a number within 0 to 1"
+                )
+        activations = {muscle: float(value) for muscle, value in table.items()}
+        title, source = str(content.get("title", "")), str(content.get("source", ""))
+        return cls(name, activations, title, source)
+
+
+def expression_names() -> tuple[str, ...]:
+    """Return the names of the expressions that come with the package."""
+    return tuple(
+        sorted(
+            entry.name.removesuffix(".toml")
+            for entry in _SHIPPED.iterdir()
+            if entry.name.endswith(".toml")
+        )
+    )
+
+
+def resolve(activations: Mapping[str, float], muscles: Iterable[str]) -> dict[str, float]:
+    """Return the activation of each muscle of a head that is one half, mirrored.
+
+    Parameters
+    ----------
+    activations : mapping of str to float
+        As in `Expression`; what is said of a part counts more than what is said of its group,
+        what is said of a side more than what is said of both.
+    muscles : iterable of str
+        The muscles of the head, without a side.
+
+    Returns
+    -------
+    dict of str to float
+        By muscle; those at rest are left out.
+
+    Raises
+    ------
+    InputError
+        If a muscle is not known, an activation is not within 0 to 1, or the two sides differ.
+    """
+    muscles = tuple(muscles)
+    parts = {
+        group: tuple(part for part in members if part in muscles)
+        for group, members in GROUPS.items()
+    }
+    known = {**{group: members for group, members in parts.items() if members}}
+    known.update({muscle: (muscle,) for muscle in muscles})
+    wanted: list[tuple[int, str, str, float]] = []
+    for name, value in activations.items():
+        if not 0.0 <= value <= 1.0:
+            raise InputError(f"{name}: activation {value:g} is not within 0 to 1; mend it")
+        stem, _, end = name.rpartition("_")
+        sides = (end,) if end in _SIDES and stem in known else _SIDES
+        whole = stem if len(sides) == 1 else name
+        if whole not in known:
+            raise unknown_name("muscle", name, known)
+        rank = 2 * (whole in muscles) + (len(sides) == 1)
+        wanted += [(rank, part, side, value) for part in known[whole] for side in sides]
+    found: dict[str, dict[str, float]] = {}
+    for _, muscle, side, value in sorted(wanted, key=lambda entry: entry[0]):
+        found.setdefault(muscle, {})[side] = value
+    for muscle, by_side in found.items():
+        if by_side.get("left", 0.0) != by_side.get("right", 0.0):
+            raise InputError(
+                f"{muscle}: the two sides differ, and this head is one half, mirrored; "
+                "give both sides the same activation"
+            )
+    return {
+        muscle: found[muscle]["left"]
+        for muscle in muscles
+        if muscle in found and found[muscle]["left"] > 0.0
+    }
