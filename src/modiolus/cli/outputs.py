@@ -39,7 +39,7 @@ def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[P
     InputError
         If the place cannot be written, or holds something that is not ours.
     """
-    target = Path(os.path.abspath(target))
+    target = target.absolute()
     if target.is_dir() and any(target.iterdir()) and not (target / marker).is_file():
         raise InputError(
             f"{option} {target}: the folder holds other files (it has no {marker}); "

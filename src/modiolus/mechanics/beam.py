@@ -18,7 +18,7 @@ from .constraints import clamp
 from .continuation import Continuation, Report
 from .laws import FAT, MUSCLE, Array, mix
 from .problem import Problem, State
-from .terms import FibreQuadrature, Fibres, Load
+from .terms import FibreQuadrature, Fibres
 
 #: Length, width and height of the beam in mm, along x, y and z; its root is at x = 0.
 SIZE = (100.0, 20.0, 20.0)

@@ -250,7 +250,8 @@ def _shade(  # type: ignore[no-untyped-def]
                 if cosine > 0.0:
                     half = view + lights[light]
                     mirror = max(normal @ half, 0.0) / np.sqrt(half @ half)
-                    shine = shiny * (0.45 * mirror**14 + shiny * 1.6 * mirror**90)
+                    broad = 0.45 * (1.0 - shiny) * mirror**14
+                    shine = shiny * (broad + 1.6 * shiny * mirror**90)
                 for axis in range(3):
                     diffuse = (1.0 - soft) * hard + soft * max(hard, wrapped * _SCATTERED[axis])
                     pixel[axis] += _LIGHTS[light, 3 + axis] * (

@@ -1,0 +1,263 @@
+"""A face as things to look at: skin, eyes, teeth, from a tissue mesh and the deep structures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from modiolus.anatomy import DistanceGrid
+from modiolus.export.shape import Shape
+from modiolus.hermite import HermiteMesh
+from modiolus.hermite.tessellate import Mirror, Tessellation, tessellate
+
+__all__ = ["FaceScene", "eye"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: A named side of a tissue mesh: its elements, and the local direction and end that face out.
+Side = tuple[Ints, int, int]
+
+_SKIN = np.array([0.87, 0.68, 0.58])
+_LIP = np.array([0.78, 0.50, 0.45])
+_BROW = np.array([0.36, 0.26, 0.20])
+_LINING = (0.45, 0.20, 0.19)
+_CAVITY = (0.16, 0.06, 0.06)
+_DEEP = {"teeth": (0.94, 0.91, 0.84), "gums": (0.78, 0.45, 0.45)}
+#: Angles about the line of sight at which the colour of an eye changes: pupil, iris, rim, white.
+_EYE_RINGS = ((0.17, (0.03, 0.03, 0.03)), (0.46, (0.33, 0.22, 0.14)), (0.50, (0.17, 0.12, 0.09)))
+_EYE_WHITE = (0.95, 0.94, 0.92)
+#: Half the height of an eyebrow in mm, at its inner and at its outer end.
+_BROW_HEIGHTS = (4.0, 1.4)
+
+
+class FaceScene:
+    """The drawable surfaces of a half face and its mirror image, in any state.
+
+    Parameters
+    ----------
+    tissue : HermiteMesh
+        The tissue of the left half at rest.
+    sides : mapping of str to (elements, axis, side)
+        The boundary of the tissue by name: ``outer``, ``lip_upper``, ``lip_lower``,
+        ``lid_upper`` and ``lid_lower`` are skin, all others are lining; ``midplane`` is inside.
+    landmarks : mapping of str to (element, xi)
+        ``inner_brow`` and ``outer_brow`` say where the eyebrow runs.
+    deep : mapping of str to DistanceGrid
+        Deep structures; those whose name begins with ``teeth`` or ``gums`` are drawn.
+    eye_centre : (3,) sequence of float
+    eye_radius : float
+        The left eyeball in mm.
+    plane : float
+        x of the mirror plane in mm.
+    divisions : int
+        Divisions of an element each way.
+    """
+
+    def __init__(
+        self,
+        tissue: HermiteMesh,
+        sides: Mapping[str, Side],
+        landmarks: Mapping[str, tuple[int, tuple[float, float, float]]],
+        deep: Mapping[str, DistanceGrid],
+        eye_centre: tuple[float, float, float],
+        eye_radius: float,
+        plane: float,
+        divisions: int = 8,
+    ) -> None:
+        skin = [name for name in sides if name == "outer" or name.startswith(("lip", "lid"))]
+        lining = [name for name in sides if name not in skin and name != "midplane"]
+        self._rest = tissue.parameters
+        self._skin = _boundary(tissue, [sides[name] for name in skin], divisions)
+        self._lining = _boundary(tissue, [sides[name] for name in lining], divisions)
+        rest = self._skin.points(self._rest)
+        self.skin_mirror = Mirror.of(rest, self._skin.cells, plane)
+        self._lining_mirror = Mirror.of(self._lining.points(self._rest), self._lining.cells, plane)
+        hosts = np.concatenate([sides[name][0] for name in skin])
+        self._colours = self._paint(tissue, sides, landmarks, skin, hosts, rest)
+        centre = np.array(eye_centre)
+        other = centre * [-1.0, 1.0, 1.0] + [2.0 * plane, 0.0, 0.0]
+        self._still = [
+            eye(centre, eye_radius, "eye_left"),
+            eye(other, eye_radius, "eye_right"),
+            *_mouth(deep, plane),
+        ]
+
+    def skin_points(self, parameters: Floats) -> Floats:
+        """Return the vertices (n, 3) of both halves of the skin in a state."""
+        return self.skin_mirror.points(self._skin.points(parameters))
+
+    def displacement(self, parameters: Floats) -> Floats:
+        """Return how far every vertex of the skin has moved from rest, (n,) in mm."""
+        moved = self.skin_points(parameters) - self.skin_points(self._rest)
+        return np.asarray(np.linalg.norm(moved, axis=1))
+
+    def shapes(self, parameters: Floats, colours: Floats | None = None) -> list[Shape]:
+        """Return the surfaces of both halves in a state.
+
+        Parameters
+        ----------
+        parameters : (n_params, 3) array
+            Of the tissue mesh.
+        colours : (n, 3) array, optional
+            sRGB colour of every vertex of the skin, in place of its natural one.
+        """
+        natural = colours is None
+        skin = Shape(
+            self.skin_points(parameters),
+            self.skin_mirror.faces,
+            self._colours if colours is None else colours,
+            "skin",
+            gloss=0.22 if natural else 0.08,
+            glow=0.7 if natural else 0.0,
+        )
+        lining = Shape(
+            self._lining_mirror.points(self._lining.points(parameters)),
+            self._lining_mirror.faces,
+            _LINING,
+            "lining",
+            gloss=0.05,
+        )
+        return [skin, lining, *self._still]
+
+    def _paint(
+        self,
+        tissue: HermiteMesh,
+        sides: Mapping[str, Side],
+        landmarks: Mapping[str, tuple[int, tuple[float, float, float]]],
+        skin: list[str],
+        hosts: Ints,
+        rest: Floats,
+    ) -> Floats:
+        """Return the natural colour of the skin: lips redder, eyebrows dark."""
+        samples = hosts[self._skin.elements]
+        counts = [len(sides[name][0]) for name in skin]
+        on_margin = np.repeat([name.startswith("lip") for name in skin], counts)
+        red = on_margin[self._skin.elements].astype(float)
+        outer = np.repeat([name == "outer" for name in skin], counts)[self._skin.elements]
+        for name in ("lip_upper", "lip_lower"):
+            elements, axis, side = sides[name]
+            near = outer & np.isin(samples, elements)
+            # From the middle (0) to the corner (1) the red narrows; on the outer surface the
+            # local directions are xi1 and xi2, and the slit runs along xi1.
+            column = np.searchsorted(np.sort(elements), samples[near])
+            along = (column + self._skin.xi[near, 0]) / len(elements)
+            height = 0.95 * (1.0 - along**3) ** 0.8
+            away = np.abs(self._skin.xi[near, axis] - side)
+            red[near] = 1.0 - _smooth(-0.12, 0.12, away - height)
+        share = self._skin.average(red)[:, None]
+        colour = _SKIN + share * (_LIP - _SKIN)
+
+        first, last_element = landmarks["inner_brow"][0], landmarks["outer_brow"][0]
+        line = np.arange(first, last_element + 1)
+        ticks = np.linspace(0.0, 1.0, 9)
+        xi = np.column_stack(
+            [np.tile(ticks, len(line)), np.zeros(9 * len(line)), np.ones(9 * len(line))]
+        )
+        brow = tissue.evaluate(np.repeat(line, 9), xi)
+        gap = np.linalg.norm(rest[:, None, :] - brow[None], axis=2)
+        nearest = gap.argmin(axis=1)
+        half = np.interp(nearest, [0, len(brow) - 1], _BROW_HEIGHTS)
+        hair = 1.0 - _smooth(0.55, 1.15, gap.min(axis=1) / half)
+        colour += 0.85 * hair[:, None] * (_BROW - colour)
+        return self.skin_mirror.values(colour)
+
+
+def eye(
+    centre: Floats, radius: float, name: str, gaze: tuple[float, float, float] = (0, -1, 0)
+) -> Shape:
+    """Return an eyeball with iris and pupil.
+
+    Parameters
+    ----------
+    centre : (3,) array
+        In mm.
+    radius : float
+        In mm.
+    name : str
+        Such as ``"eye_left"``.
+    gaze : (3,) sequence of float
+        Where it looks.
+    """
+    axis = np.array(gaze, dtype=float)
+    axis /= np.linalg.norm(axis)
+    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    frame = np.array([side, np.cross(axis, side), axis])
+    # Where the colour changes there are two rings of vertices close together, for a crisp edge.
+    edges = [angle for angle, _ in _EYE_RINGS]
+    rings = np.unique(np.concatenate([np.linspace(0.0, np.pi, 40), edges, np.array(edges) + 0.012]))
+    colours = np.tile(np.array(_EYE_WHITE), (len(rings), 1))
+    for angle, colour in reversed(_EYE_RINGS):
+        colours[rings <= angle] = colour
+    turns = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    ring, turn = np.meshgrid(rings, turns, indexing="ij")
+    local = np.stack(
+        [np.sin(ring) * np.cos(turn), np.sin(ring) * np.sin(turn), np.cos(ring)], axis=-1
+    )
+    here = np.arange(ring.size).reshape(ring.shape)
+    beside = np.roll(here, -1, axis=1)
+    quads = np.stack([here[:-1], here[1:], beside[1:], beside[:-1]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return Shape(
+        centre + radius * local.reshape(-1, 3) @ frame,
+        faces,
+        np.repeat(colours, len(turns), axis=0),
+        name,
+        gloss=0.8,
+    )
+
+
+def _boundary(tissue: HermiteMesh, sides: list[Side], divisions: int) -> Tessellation:
+    """Tessellate several sides of a volume mesh as one surface with closed seams."""
+    faces = [tissue.face(*side) for side in sides]
+    # In the faces across xi2 the local directions xi1 and xi3 are left-handed about xi2.
+    outward = [
+        np.full(face.n_elements, (1 if side else -1) * (-1 if axis == 1 else 1))
+        for face, (_, axis, side) in zip(faces, sides, strict=True)
+    ]
+    rows = sp.csr_matrix(sp.vstack([face.extraction for face in faces]))
+    surface = HermiteMesh(2, tissue.parameters, rows)
+    return tessellate(surface, divisions, np.concatenate(outward))
+
+
+def _mouth(deep: Mapping[str, DistanceGrid], plane: float) -> list[Shape]:
+    """Return teeth and gums of both sides, and the dark of the mouth behind them."""
+    shapes = []
+    for name, grid in deep.items():
+        colour = _DEEP.get(name.partition("_")[0])
+        if colour is None:
+            continue
+        surface = grid.surface()
+        vertices = surface.vertices
+        half = (vertices[surface.faces][:, :, 0] >= plane - 0.5 * grid.spacing).all(axis=1)
+        mirror = Mirror.of(vertices, surface.faces[half], plane)
+        shapes.append(
+            Shape(mirror.points(vertices), mirror.faces, colour, name, gloss=0.6, glow=0.2)
+        )
+    if shapes:
+        corners = np.concatenate([shape.vertices for shape in shapes])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        # Behind the incisors and between the molars.
+        back = low[1] + 0.45 * (high[1] - low[1])
+        middle, reach = 0.5 * (low + high), 0.3 * (high - low)
+        low, high = middle - reach, middle + reach
+        square = np.array(
+            [
+                [low[0], back, low[2]],
+                [high[0], back, low[2]],
+                [high[0], back, high[2]],
+                [low[0], back, high[2]],
+            ]
+        )
+        shapes.append(Shape(square, np.array([[0, 1, 2], [0, 2, 3]]), _CAVITY, "mouth", gloss=0.0))
+    return shapes
+
+
+def _smooth(low: float, high: float, values: Floats) -> Floats:
+    """Return 0 below `low`, 1 above `high`, and a smooth step in between."""
+    share = np.clip((values - low) / (high - low), 0.0, 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))
