@@ -19,7 +19,8 @@ from modiolus.mechanics import (
     face_points,
     symmetry_plane,
 )
-from modiolus.mechanics.laws import MUSCLE, FibreLaw, active_force, fibre, passive, passive_force
+from modiolus.mechanics.kernels import active_force, fibre, passive, passive_force
+from modiolus.mechanics.laws import MUSCLE, FibreLaw
 
 RNG = np.random.default_rng(20)
 
@@ -178,18 +179,28 @@ def test_passive_law_is_at_rest_without_deformation():
     assert tangent[0, 1, 1] == pytest.approx(7.35)
 
 
+def taut(r):
+    return passive_force(r, 0.05, 6.6, 1.4, 0.02)
+
+
 @given(st.floats(0.35, 2.0))
 @settings(max_examples=60, deadline=None)
 def test_fibre_curves_are_derivatives_of_each_other(r):
     h = 1e-6
-    kinks = np.array([0.4, 0.6, 1.0, 1.4, 1.6])
+    kinks = np.array([0.4, 0.6, 1.0, 1.02, 1.4, 1.6])
     if np.abs(kinks - r).min() < 2 * h:
         return
-    for curve in (active_force, lambda x: passive_force(x, 0.05, 6.6, 1.4)):
+    for curve in (active_force, taut):
         (a, fa, _), (b, fb, _) = curve(r - h), curve(r + h)
         _, value, slope = curve(r)
         assert (b - a) / (2 * h) == pytest.approx(value, abs=1e-7)
         assert (fb - fa) / (2 * h) == pytest.approx(slope, abs=1e-5)
+
+
+def test_toe_joins_the_published_curve():
+    for r in (1.02, 1.1, 1.5):
+        toe, plain = (passive_force(r, 0.05, 6.6, 1.4, width)[1:] for width in (0.02, 0.0))
+        assert toe == pytest.approx(plain)
 
 
 def test_fibre_curve_has_the_published_values():
@@ -197,7 +208,7 @@ def test_fibre_curve_has_the_published_values():
     assert active_force(1.0)[1] == pytest.approx(1.0)
     assert active_force(0.5)[1] == pytest.approx(0.09)
     assert active_force(1 / 1.4)[1] == pytest.approx(0.673, abs=5e-4)
-    assert passive_force(1.2, 0.05, 6.6, 1.4)[1] == pytest.approx(0.05 * (np.exp(1.32) - 1))
+    assert taut(1.2)[1] == pytest.approx(0.05 * (np.exp(1.32) - 1))
     energy, force, _ = fibre(0.95, 0.0, 1.0, FibreLaw().array())
     assert energy == force == 0.0
     assert fibre(1.1, 0.0, 1.2, FibreLaw().array())[1] == 0.0
