@@ -1,0 +1,179 @@
+"""Muscles in the tissue: brought inside it, their share of it, and where they are held.
+
+The skin of the source stems from another release than its muscles, so that parts of some
+muscles stand outside the tissue. They are moved in by a smooth map and fitted again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..anatomy.distance import DistanceGrid
+from ..anatomy.surface import Surface
+from ..fitting import PointTarget, Smoothing, fit
+from ..hermite import HermiteMesh
+from ..hermite.basis import Array
+from ..hermite.tessellate import tessellate
+from .head import Attachment
+from .muscle import Muscle
+from .tissue import Side
+
+#: Distance that muscles keep from the outer and the inner surface of the tissue (mm).
+CLEARANCE = (0.35, 0.1)
+
+#: Muscles whose first eighth holds to bone or fascia, with the stiffness of that hold (mN/mm).
+#: Frontalis comes from the galea and platysma from the fascia of the neck, which the cuts of
+#: the mesh hold; the rings have no bony end but for the inner corner of the eye.
+ORIGINS: dict[str, float] = {
+    "zygomaticus_major": 2e4,
+    "zygomaticus_minor": 2e4,
+    "levator_labii_superioris": 2e4,
+    "levator_labii_superioris_alaeque_nasi": 2e4,
+    "levator_anguli_oris": 2e4,
+    "risorius": 1e4,
+    "buccinator": 2e4,
+    "depressor_anguli_oris": 2e4,
+    "depressor_labii_inferioris": 2e4,
+    "mentalis": 2e4,
+    "corrugator_supercilii": 2e4,
+    "procerus": 2e4,
+    "nasalis": 2e4,
+    "depressor_septi_nasi": 2e4,
+}
+#: Share of a muscle's length, from its origin, that is held.
+HELD = 0.12
+
+#: Muscles that end at the modiolus.
+MODIOLAR = (
+    "zygomaticus_major",
+    "levator_anguli_oris",
+    "depressor_anguli_oris",
+    "risorius",
+    "buccinator",
+)
+#: Radius of the modiolus (mm).
+MODIOLUS_RADIUS = 8.0
+
+
+def boundary_surface(mesh: HermiteMesh, side: Side, divisions: int = 6) -> Surface:
+    """Return a side of a mesh as triangles."""
+    face = mesh.face(*side)
+    cut = tessellate(face, divisions)
+    return Surface(cut.points(face.parameters), cut.cells, "tissue")
+
+
+def depth_below(surface: Surface, points: Array) -> tuple[Array, Array]:
+    """Return how far points lie behind an open surface (n,), and its normals there (n, 3).
+
+    Beyond the rim of the surface the depth is NaN.
+    """
+    found = surface.closest(points)
+    normal = surface.normals[found.faces]
+    offset = points - found.points
+    depth = -np.einsum("ni,ni->n", offset, normal)
+    aside = np.linalg.norm(offset + depth[:, None] * normal, axis=1)
+    depth[aside > 0.3 + 0.5 * np.abs(depth)] = np.nan
+    return depth, normal
+
+
+def bring_inside(muscle: Muscle, outer: Surface, inner: Surface) -> Muscle:
+    """Move the parts of a muscle that stand out of the tissue into it.
+
+    Sample points are pushed along the normals of the tissue's surfaces until they keep
+    their clearance, and the muscle is fitted to where they arrive.
+    """
+    mesh = muscle.mesh
+    elements, xi, _ = mesh.gauss_points(5)
+    # The ends of the Gauss interval are stretched to the faces of the elements.
+    reach = xi.max()
+    xi = np.clip((xi - 0.5) / (2.0 * reach - 1.0) + 0.5, 0.0, 1.0)
+    points = mesh.evaluate(elements, xi)
+    start = points.copy()
+    for _ in range(12):
+        for surface, least, sign in ((outer, CLEARANCE[0], 1.0), (inner, CLEARANCE[1], -1.0)):
+            depth, normal = depth_below(surface, points)
+            push = np.nan_to_num(np.clip(least - sign * depth, 0.0, 1.0))
+            points -= sign * 0.5 * push[:, None] * normal
+    if np.abs(points - start).max() < 0.05:
+        return muscle
+    target = PointTarget("inside", elements, xi, points)
+    smoothing = Smoothing(first=1e-4, second=2e-3, relative=True)
+    return replace(muscle, mesh=fit(mesh, [target], smoothing, iterations=1).mesh)
+
+
+def inside_fraction(mesh: HermiteMesh, muscle: Muscle, above: float = -np.inf) -> float:
+    """Return the share of a muscle's volume above a height that lies in the tissue."""
+    rule = muscle.mesh.quadrature(3)
+    points = muscle.mesh.evaluate(rule.elements, rule.xi)
+    kept = points[:, 2] >= above
+    if not kept.any():
+        return 0.0
+    inside = mesh.locate(points[kept]).inside
+    return float(rule.weights[kept][inside].sum() / rule.weights[kept].sum())
+
+
+def muscle_fraction(mesh: HermiteMesh, muscles: Iterable[Muscle]) -> Array:
+    """Return the muscle volume fraction around the 4 x 4 x 4 Gauss points, (n_elements, 64).
+
+    Each value is the share of 27 points of the Gauss point's cell that lie in a muscle.
+    """
+    elements, xi, _ = mesh.gauss_points(4)
+    offsets = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1)
+    around = np.clip(xi[:, None] + 0.08 * offsets.reshape(-1, 3), 0.0, 1.0)
+    count = around.shape[1]
+    points = mesh.evaluate(np.repeat(elements, count), around.reshape(-1, 3))
+    covered = np.zeros(len(points), dtype=bool)
+    for muscle in muscles:
+        low, high = muscle.bounds()
+        near = np.flatnonzero(~covered & (points > low).all(axis=1) & (points < high).all(axis=1))
+        if len(near):
+            covered[near] = muscle.mesh.locate(points[near], candidates=3).inside
+    share = covered.reshape(-1, count).mean(axis=1)
+    return np.asarray(share.reshape(mesh.n_elements, -1))
+
+
+def modiolus_share(mesh: HermiteMesh, centre: Array) -> Array:
+    """Return the share of the modiolus at the Gauss points, (n_elements, 64)."""
+    elements, xi, _ = mesh.gauss_points(4)
+    distance = np.linalg.norm(mesh.evaluate(elements, xi) - centre, axis=1)
+    share = np.clip(1.5 - 1.5 * distance / MODIOLUS_RADIUS, 0.0, 1.0)
+    smooth = share**2 * (3.0 - 2.0 * share)
+    return np.asarray(smooth.reshape(mesh.n_elements, -1))
+
+
+def modiolus_centre(muscles: Mapping[str, Muscle], corner: Array) -> Array:
+    """Return the place where the muscles of the corner of the mouth meet, (3,).
+
+    The mean of their insertions and of the corner itself, which keeps the knot beside it.
+    """
+    ends = [muscles[name].insertion() for name in MODIOLAR if name in muscles]
+    return np.asarray(0.5 * (np.mean(ends, axis=0) + corner))
+
+
+def origins(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attachment]:
+    """Return the attachments of the muscles' bony ends."""
+    out: dict[str, Attachment] = {}
+    for name, stiffness in ORIGINS.items():
+        if name not in muscles:
+            continue
+        points, along = muscles[name].end_points(HELD)
+        place = mesh.locate(points)
+        near = place.distance < 1.0
+        if not near.any():
+            continue
+        weight = along[near] / along[near].sum()
+        out[name] = Attachment(
+            name, place.elements[near], place.xi[near], stiffness * weight
+        )
+    return out
+
+
+def near_bone(
+    deep: Mapping[str, DistanceGrid], names: Iterable[str], points: Array
+) -> NDArray[np.float64]:
+    """Return the distance of points to the nearest of some deep structures, (n,)."""
+    return np.asarray(np.min([deep[name].sample(points).distance for name in names], axis=0))

@@ -1,0 +1,336 @@
+"""The head model: tissue, muscles, deep structures and attachments in one directory.
+
+A head is a directory with ``head.toml`` (what a person may want to read or change) and three
+archives of plain arrays: ``tissue.npz``, ``muscles.npz`` and ``deep.npz``.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..anatomy.distance import DistanceGrid
+from ..anatomy.surface import MIDPLANE
+from ..errors import InputError, unknown_name
+from ..hermite import HermiteMesh
+from ..hermite.basis import Array
+from .muscle import Muscle
+from .tissue import Side
+
+#: Version of the directory's layout.
+FORMAT = 1
+_SHIPPED = files("modiolus.face") / "data" / "heads"
+#: Archives larger than this (bytes, unpacked) are not read.
+_LARGEST = 512 * 2**20
+
+
+@dataclass(frozen=True)
+class RigidSurface:
+    """A deep structure: it does not deform and the tissue does not enter it.
+
+    Attributes
+    ----------
+    name : str
+    distance : DistanceGrid
+    """
+
+    name: str
+    distance: DistanceGrid
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """Tissue held to the bone by springs: the origin of a muscle or a ligament.
+
+    Attributes
+    ----------
+    name : str
+    elements : (n,) int array
+    xi : (n, 3) array
+        Where in the tissue.
+    stiffness : (n,) array
+        Of each point in mN/mm.
+    """
+
+    name: str
+    elements: NDArray[np.int64]
+    xi: Array
+    stiffness: Array
+
+
+@dataclass(frozen=True)
+class Head:
+    """A head model: the left half, mirrored in the mid-plane.
+
+    Attributes
+    ----------
+    name : str
+    tissue : HermiteMesh
+        Tricubic mesh; xi1 lateral, xi2 up, xi3 outward.
+    sides : dict of (elements, axis, side)
+        Named sides of the mesh, see `modiolus.face.tissue.Tissue`.
+    landmarks : dict of (element, xi)
+        Named places of the left half.
+    fraction : (n_elements, 64) array
+        Muscle volume fraction at the 4 x 4 x 4 Gauss points.
+    firmness : (n_elements, 64) array
+        Share of the modiolus, the firm knot beside the corner of the mouth.
+    muscles : dict of Muscle
+    deep : dict of RigidSurface
+    attachments : dict of Attachment
+    midplane : float
+        x of the mirror plane (mm).
+    about : dict
+        Subject, source, licence, attribution, and the figures of the build.
+    """
+
+    name: str
+    tissue: HermiteMesh
+    sides: dict[str, Side]
+    landmarks: dict[str, tuple[int, tuple[float, float, float]]]
+    fraction: Array
+    firmness: Array
+    muscles: dict[str, Muscle]
+    deep: dict[str, RigidSurface]
+    attachments: dict[str, Attachment]
+    midplane: float = MIDPLANE
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def mirror(self, points: Array) -> Array:
+        """Return points (..., 3) mirrored in the mid-plane."""
+        out = np.array(points, dtype=float)
+        out[..., 0] = 2.0 * self.midplane - out[..., 0]
+        return out
+
+    def landmark_points(self, parameters: Array | None = None) -> dict[str, Array]:
+        """Return the landmarks of both sides under some tissue parameters, each (3,).
+
+        Those on the mid-plane keep their name; the others get ``_left`` and ``_right``.
+        """
+        mesh = self.tissue if parameters is None else self.tissue.with_parameters(parameters)
+        out: dict[str, Array] = {}
+        for name, (element, xi) in self.landmarks.items():
+            point = mesh.evaluate([element], [xi])[0]
+            if abs(self.tissue.evaluate([element], [xi])[0, 0] - self.midplane) < 1e-6:
+                out[name] = point
+            else:
+                out[f"{name}_left"] = point
+                out[f"{name}_right"] = self.mirror(point)
+        return out
+
+    def save(self, folder: Path) -> None:
+        """Write the head into an existing, empty folder."""
+        folder = Path(folder)
+        extraction = self.tissue.extraction
+        tissue: dict[str, Any] = {
+            "parameters": self.tissue.parameters,
+            "data": extraction.data,
+            "indices": extraction.indices.astype(np.int32),
+            "indptr": extraction.indptr.astype(np.int32),
+            "fraction": self.fraction.astype(np.float32),
+            "firmness": self.firmness.astype(np.float32),
+        }
+        for name, (elements, axis, side) in self.sides.items():
+            tissue[f"side/{name}"] = np.concatenate([[axis, side], elements]).astype(np.int32)
+        for name, item in self.attachments.items():
+            tissue[f"attachment/{name}"] = np.column_stack(
+                [item.elements, item.xi, item.stiffness]
+            )
+        np.savez_compressed(folder / "tissue.npz", **tissue)
+        muscles = {
+            f"{name}/{key}": value
+            for name, muscle in self.muscles.items()
+            for key, value in muscle.arrays().items()
+        }
+        np.savez_compressed(folder / "muscles.npz", **muscles)
+        deep = {
+            f"{name}/{key}": value
+            for name, surface in self.deep.items()
+            for key, value in surface.distance.arrays().items()
+        }
+        np.savez_compressed(folder / "deep.npz", **deep)
+        (folder / "head.toml").write_text(self._toml(), encoding="utf-8")
+
+    def _toml(self) -> str:
+        lines = [f"format = {FORMAT}", f"name = {json.dumps(self.name)}"]
+        lines += [f"midplane = {self.midplane!r}", ""]
+        lines += _table("about", self.about)
+        lines += ["[landmarks]", "# element, xi1, xi2, xi3"]
+        for name, (element, xi) in self.landmarks.items():
+            lines.append(f"{name} = [{element}, {', '.join(repr(float(v)) for v in xi)}]")
+        lines += ["", "# Stretch from which the passive fibres of a muscle are taut.", "[slack]"]
+        lines += [f"{name} = {muscle.slack!r}" for name, muscle in self.muscles.items()]
+        return "\n".join(lines) + "\n"
+
+    @classmethod
+    def load(cls, name: str | Path) -> Head:
+        """Read a shipped head by its name, or one from a directory.
+
+        Raises
+        ------
+        InputError
+            There is no such head, or its files are not sound.
+        """
+        text = str(name)
+        if text in head_names():
+            with as_file(_SHIPPED / text) as folder:
+                return cls._read(Path(folder))
+        folder = Path(name)
+        if folder.is_dir():
+            return cls._read(folder)
+        if folder.exists() or "/" in text:
+            raise InputError(f"{name}: not a head's directory; name one that holds head.toml")
+        raise unknown_name("head", text, head_names())
+
+    @classmethod
+    def _read(cls, folder: Path) -> Head:
+        table = _read_toml(folder / "head.toml")
+        tissue = _read_arrays(folder / "tissue.npz")
+        muscles = _grouped(_read_arrays(folder / "muscles.npz"))
+        deep = _grouped(_read_arrays(folder / "deep.npz"))
+        try:
+            extraction = sp.csr_matrix(
+                (tissue["data"], tissue["indices"], tissue["indptr"]),
+                shape=(len(tissue["indptr"]) - 1, len(tissue["parameters"])),
+            )
+            extraction.check_format(full_check=True)
+            mesh = HermiteMesh(3, _finite(tissue["parameters"]), extraction)
+            sides: dict[str, Side] = {}
+            attachments: dict[str, Attachment] = {}
+            for key, value in tissue.items():
+                kind, _, item = key.partition("/")
+                if kind == "side":
+                    elements = value[2:].astype(np.int64)
+                    _within(elements, mesh.n_elements)
+                    sides[item] = (elements, int(value[0]), int(value[1]))
+                elif kind == "attachment":
+                    value = _finite(value)
+                    elements = value[:, 0].astype(np.int64)
+                    _within(elements, mesh.n_elements)
+                    attachments[item] = Attachment(item, elements, value[:, 1:4], value[:, 4])
+            landmarks = {
+                key: (int(row[0]), (float(row[1]), float(row[2]), float(row[3])))
+                for key, row in table["landmarks"].items()
+            }
+            _within(np.array([place[0] for place in landmarks.values()]), mesh.n_elements)
+            fraction, firmness = (
+                _finite(tissue[key]).reshape(mesh.n_elements, 64)
+                for key in ("fraction", "firmness")
+            )
+            slack = {key: float(value) for key, value in table.get("slack", {}).items()}
+            return cls(
+                name=str(table["name"]),
+                tissue=mesh,
+                sides=sides,
+                landmarks=landmarks,
+                fraction=fraction,
+                firmness=firmness,
+                muscles={
+                    key: _with_slack(Muscle.from_arrays(key, arrays), slack)
+                    for key, arrays in muscles.items()
+                },
+                deep={
+                    key: RigidSurface(key, DistanceGrid.from_arrays(arrays))
+                    for key, arrays in deep.items()
+                },
+                attachments=attachments,
+                midplane=float(table["midplane"]),
+                about=dict(table.get("about", {})),
+            )
+        except InputError as error:
+            raise InputError(f"{folder}: {error}") from error
+        except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
+            fault = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(
+                f"{folder}: its arrays do not make a head ({fault}); build or copy it anew"
+            ) from error
+
+
+def head_names() -> tuple[str, ...]:
+    """Return the names of the heads that come with the package."""
+    if not _SHIPPED.is_dir():
+        return ()
+    return tuple(sorted(e.name for e in _SHIPPED.iterdir() if (e / "head.toml").is_file()))
+
+
+def _with_slack(muscle: Muscle, slack: Mapping[str, float]) -> Muscle:
+    value = slack.get(muscle.name, muscle.slack)
+    if not 0.5 <= value <= 3.0:
+        raise ValueError(f"slack of {muscle.name} is {value}, not a stretch within 0.5 to 3")
+    return replace(muscle, slack=value)
+
+
+def _finite(values: Array) -> Array:
+    if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+        raise ValueError("a number is not finite")
+    return values.astype(float)
+
+
+def _within(elements: NDArray[np.int64], count: int) -> None:
+    if len(elements) and (elements.min() < 0 or elements.max() >= count):
+        raise ValueError("an element's number is out of range")
+
+
+def _table(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Write a table of scalars, lists and sub-tables as TOML."""
+    plain = {k: v for k, v in values.items() if not isinstance(v, Mapping)}
+    lines = [f"[{name}]", *[f"{k} = {json.dumps(v)}" for k, v in plain.items()], ""]
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            lines += _table(f"{name}.{key}", value)
+    return lines
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); name a head's directory"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a TOML file ({error}); mend it") from error
+    if table.get("format") != FORMAT:
+        raise InputError(
+            f"{path}: format is {table.get('format')!r} and not {FORMAT}; build the head anew"
+        )
+    for key in ("name", "landmarks", "midplane"):
+        if key not in table:
+            raise InputError(f"{path}: it says nothing of {key!r}; build or copy the head anew")
+    return table
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    damaged = f"{path}: cannot be read as arrays; it may be truncated, build or copy it anew"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > _LARGEST:
+                raise InputError(f"{path}: it unpacks to more than {_LARGEST >> 20} MiB; copy it anew")
+        with np.load(path, allow_pickle=False) as archive:
+            return {key: archive[key] for key in archive.files}
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file; build or copy the head anew") from error
+    except InputError:
+        raise
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(damaged) from error
+    except Exception as error:  # zlib raises its own kind for damaged streams
+        raise InputError(damaged) from error
+
+
+def _grouped(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, NDArray[Any]]]:
+    out: dict[str, dict[str, NDArray[Any]]] = {}
+    for key, value in arrays.items():
+        name, _, item = key.partition("/")
+        out.setdefault(name, {})[item] = value
+    return out
