@@ -8,6 +8,7 @@ why and what to do) and 130 after an interruption. Outputs appear whole or not a
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from types import FrameType
@@ -53,6 +54,17 @@ def _run(arguments: list[str]) -> int:
         # The reader went away: nobody is left to tell.
         sys.stderr.close()
         return 1
+    except OSError as error:
+        return _say(f"{error.filename or 'system'}: {error.strerror or error}", 1)
+    except Exception as error:
+        if os.environ.get("MODIOLUS_TRACEBACK"):
+            raise
+        kind = type(error).__name__
+        return _say(
+            f"internal error ({kind}: {_one_line(error)}); "
+            "set MODIOLUS_TRACEBACK=1 to see where, and please report it",
+            1,
+        )
     if code == _INTERRUPTED:
         return _say("interrupted; nothing was written", code)
     return code if isinstance(code, int) else 0

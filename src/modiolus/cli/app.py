@@ -26,7 +26,7 @@ app = typer.Typer(
 )
 
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")]
-Head = Annotated[
+HeadName = Annotated[
     str, typer.Option("--head", metavar="NAME|DIR", help="A shipped head, or a folder with one.")
 ]
 Json = Annotated[
@@ -65,4 +65,4 @@ def _modiolus(
 
 
 # Each module adds its command to `app`; here at the end, because they need it.
-from modiolus.cli import beam  # noqa: E402, F401
+from modiolus.cli import beam, catalogue, heads, simulate  # noqa: E402, F401

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from modiolus.anatomy import DistanceGrid
 from modiolus.export.shape import Shape
+from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh
 from modiolus.hermite.tessellate import Mirror, Tessellation, tessellate
 
@@ -17,9 +15,6 @@ __all__ = ["FaceScene", "eye"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-#: A named side of a tissue mesh: its elements, and the local direction and end that face out.
-Side = tuple[Ints, int, int]
 
 _SKIN = np.array([0.87, 0.68, 0.58])
 _LIP = np.array([0.78, 0.50, 0.45])
@@ -39,52 +34,26 @@ class FaceScene:
 
     Parameters
     ----------
-    tissue : HermiteMesh
-        The tissue of the left half at rest.
-    sides : mapping of str to (elements, axis, side)
-        The boundary of the tissue by name: ``outer``, ``lip_upper``, ``lip_lower``,
-        ``lid_upper`` and ``lid_lower`` are skin, all others are lining; ``midplane`` is inside.
-    landmarks : mapping of str to (element, xi)
-        ``inner_brow`` and ``outer_brow`` say where the eyebrow runs.
-    deep : mapping of str to DistanceGrid
-        Deep structures; those whose name begins with ``teeth`` or ``gums`` are drawn.
-    eye_centre : (3,) sequence of float
-    eye_radius : float
-        The left eyeball in mm.
-    plane : float
-        x of the mirror plane in mm.
+    head : Head
+        Of its sides ``outer`` and those of lips and lids are drawn as skin, the others as lining;
+        of its deep structures teeth and gums are drawn as they are, and the eyes are placed in
+        the ``eyeball``.
     divisions : int
         Divisions of an element each way.
     """
 
-    def __init__(
-        self,
-        tissue: HermiteMesh,
-        sides: Mapping[str, Side],
-        landmarks: Mapping[str, tuple[int, tuple[float, float, float]]],
-        deep: Mapping[str, DistanceGrid],
-        eye_centre: tuple[float, float, float],
-        eye_radius: float,
-        plane: float,
-        divisions: int = 8,
-    ) -> None:
-        skin = [name for name in sides if name == "outer" or name.startswith(("lip", "lid"))]
-        lining = [name for name in sides if name not in skin and name != "midplane"]
-        self._rest = tissue.parameters
-        self._skin = _boundary(tissue, [sides[name] for name in skin], divisions)
-        self._lining = _boundary(tissue, [sides[name] for name in lining], divisions)
-        rest = self._skin.points(self._rest)
-        self.skin_mirror = Mirror.of(rest, self._skin.cells, plane)
-        self._lining_mirror = Mirror.of(self._lining.points(self._rest), self._lining.cells, plane)
-        hosts = np.concatenate([sides[name][0] for name in skin])
-        self._colours = self._paint(tissue, sides, landmarks, skin, hosts, rest)
-        centre = np.array(eye_centre)
-        other = centre * [-1.0, 1.0, 1.0] + [2.0 * plane, 0.0, 0.0]
-        self._still = [
-            eye(centre, eye_radius, "eye_left"),
-            eye(other, eye_radius, "eye_right"),
-            *_mouth(deep, plane),
-        ]
+    def __init__(self, head: Head, divisions: int = 8) -> None:
+        skin = [name for name in head.sides if name.startswith(("outer", "lip", "lid"))]
+        lining = [name for name in head.sides if name not in skin and name != "midplane"]
+        self._rest = head.tissue.parameters
+        self._skin = _boundary(head, skin, divisions)
+        self._lining = _boundary(head, lining, divisions)
+        self.skin_mirror = Mirror.of(self._skin.points(self._rest), self._skin.cells, head.midplane)
+        self._lining_mirror = Mirror.of(
+            self._lining.points(self._rest), self._lining.cells, head.midplane
+        )
+        self._colours = self._paint(head, skin)
+        self._still = [*_eyes(head), *_mouth(head)]
 
     def skin_points(self, parameters: Floats) -> Floats:
         """Return the vertices (n, 3) of both halves of the skin in a state."""
@@ -123,23 +92,16 @@ class FaceScene:
         )
         return [skin, lining, *self._still]
 
-    def _paint(
-        self,
-        tissue: HermiteMesh,
-        sides: Mapping[str, Side],
-        landmarks: Mapping[str, tuple[int, tuple[float, float, float]]],
-        skin: list[str],
-        hosts: Ints,
-        rest: Floats,
-    ) -> Floats:
+    def _paint(self, head: Head, skin: list[str]) -> Floats:
         """Return the natural colour of the skin: lips redder, eyebrows dark."""
+        counts = [len(head.sides[name][0]) for name in skin]
+        hosts = np.concatenate([head.sides[name][0] for name in skin])
         samples = hosts[self._skin.elements]
-        counts = [len(sides[name][0]) for name in skin]
         on_margin = np.repeat([name.startswith("lip") for name in skin], counts)
         red = on_margin[self._skin.elements].astype(float)
         outer = np.repeat([name == "outer" for name in skin], counts)[self._skin.elements]
         for name in ("lip_upper", "lip_lower"):
-            elements, axis, side = sides[name]
+            elements, axis, side = head.sides[name]
             near = outer & np.isin(samples, elements)
             # From the middle (0) to the corner (1) the red narrows; on the outer surface the
             # local directions are xi1 and xi2, and the slit runs along xi1.
@@ -151,13 +113,12 @@ class FaceScene:
         share = self._skin.average(red)[:, None]
         colour = _SKIN + share * (_LIP - _SKIN)
 
-        first, last_element = landmarks["inner_brow"][0], landmarks["outer_brow"][0]
-        line = np.arange(first, last_element + 1)
-        ticks = np.linspace(0.0, 1.0, 9)
-        xi = np.column_stack(
-            [np.tile(ticks, len(line)), np.zeros(9 * len(line)), np.ones(9 * len(line))]
-        )
-        brow = tissue.evaluate(np.repeat(line, 9), xi)
+        # The eyebrow runs along a row of elements, on the line where their xi2 is 0.
+        line = np.arange(head.landmarks["inner_brow"][0], head.landmarks["outer_brow"][0] + 1)
+        ticks = np.tile(np.linspace(0.0, 1.0, 9), len(line))
+        xi = np.column_stack([ticks, np.zeros(len(ticks)), np.ones(len(ticks))])
+        brow = head.tissue.evaluate(np.repeat(line, 9), xi)
+        rest = self._skin.points(self._rest)
         gap = np.linalg.norm(rest[:, None, :] - brow[None], axis=2)
         nearest = gap.argmin(axis=1)
         half = np.interp(nearest, [0, len(brow) - 1], _BROW_HEIGHTS)
@@ -211,30 +172,48 @@ def eye(
     )
 
 
-def _boundary(tissue: HermiteMesh, sides: list[Side], divisions: int) -> Tessellation:
-    """Tessellate several sides of a volume mesh as one surface with closed seams."""
-    faces = [tissue.face(*side) for side in sides]
+def _boundary(head: Head, names: list[str], divisions: int) -> Tessellation:
+    """Tessellate several sides of the tissue as one surface with closed seams."""
+    sides = [head.sides[name] for name in names]
+    faces = [head.tissue.face(*side) for side in sides]
     # In the faces across xi2 the local directions xi1 and xi3 are left-handed about xi2.
     outward = [
         np.full(face.n_elements, (1 if side else -1) * (-1 if axis == 1 else 1))
         for face, (_, axis, side) in zip(faces, sides, strict=True)
     ]
     rows = sp.csr_matrix(sp.vstack([face.extraction for face in faces]))
-    surface = HermiteMesh(2, tissue.parameters, rows)
+    surface = HermiteMesh(2, head.tissue.parameters, rows)
     return tessellate(surface, divisions, np.concatenate(outward))
 
 
-def _mouth(deep: Mapping[str, DistanceGrid], plane: float) -> list[Shape]:
+def _eyes(head: Head) -> list[Shape]:
+    """Return both eyes, in the sphere that fits the deep structure ``eyeball`` best."""
+    if "eyeball" not in head.deep:
+        return []
+    points = head.deep["eyeball"].distance.surface().vertices
+    # |x|² = 2 c·x + (r² - |c|²) is linear in the centre and the constant.
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    radius = float(np.sqrt(solution[3] + centre @ centre))
+    return [
+        eye(centre, radius, "eye_left"),
+        eye(head.mirror(centre), radius, "eye_right"),
+    ]
+
+
+def _mouth(head: Head) -> list[Shape]:
     """Return teeth and gums of both sides, and the dark of the mouth behind them."""
     shapes = []
-    for name, grid in deep.items():
+    for name, structure in head.deep.items():
         colour = _DEEP.get(name.partition("_")[0])
         if colour is None:
             continue
-        surface = grid.surface()
+        surface = structure.distance.surface()
         vertices = surface.vertices
-        half = (vertices[surface.faces][:, :, 0] >= plane - 0.5 * grid.spacing).all(axis=1)
-        mirror = Mirror.of(vertices, surface.faces[half], plane)
+        least = head.midplane - 0.5 * structure.distance.spacing
+        half = (vertices[surface.faces][:, :, 0] >= least).all(axis=1)
+        mirror = Mirror.of(vertices, surface.faces[half], head.midplane)
         shapes.append(
             Shape(mirror.points(vertices), mirror.faces, colour, name, gloss=0.6, glow=0.2)
         )

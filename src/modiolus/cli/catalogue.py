@@ -1,0 +1,66 @@
+"""``modiolus catalogue``: every muscle alone."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
+from modiolus.cli.outputs import whole_folder
+
+#: Activation at which a muscle shows what it does, by its kind: a sheet or a ring has many times
+#: the cross-section of a strap.
+_ALONE = {"strap": 1.0, "sheet": 0.3, "ring": 0.3}
+
+
+@app.command(epilog="Example: modiolus catalogue --out out")
+def catalogue(
+    head: HeadName = "taro",
+    out: Out = Path("out"),
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Contract every muscle alone and draw all of them on one page.
+
+    Writes OUT/catalogue/ with catalogue.png, report.json and a folder for every muscle.
+    """
+    from modiolus.face.head import Head
+
+    chosen = Head.load(head)
+    target = out / "catalogue"
+    with whole_folder(target, marker="report.json") as folder:
+        from modiolus.cli.run import Runner
+        from modiolus.view.face import draw_catalogue
+
+        runner = Runner(chosen, quiet)
+        runs, states = [], []
+        for muscle in chosen.muscles.values():
+            began = time.perf_counter()
+            activation = _ALONE[muscle.kind]
+            state = runner.solve(muscle.name, {muscle.name: activation})
+            title = muscle.name.replace("_", " ")
+            (folder / muscle.name).mkdir()
+            record = runner.write(
+                muscle.name, title, state, folder / muscle.name, target / muscle.name, began
+            )
+            farthest = float(np.max(runner.scene.displacement(state.parameters)))
+            states.append(
+                (title, f"activation {activation:g}, up to {farthest:.1f} mm", state.parameters)
+            )
+            runs.append(record)
+        page = folder / "catalogue.png"
+        heading = f"Every muscle alone · {chosen.name}"
+        draw_catalogue(runner.scene, chosen.tissue.parameters, states, heading, page)
+        record = {
+            "runs": runs,
+            "files": {
+                "picture": str(target / "catalogue.png"),
+                "report": str(target / "report.json"),
+            },
+        }
+        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+    text = f"{len(runs)} muscles.\nPicture: {target / page.name}\nReport:  {target / 'report.json'}"
+    show(record, text, as_json, quiet)

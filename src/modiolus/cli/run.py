@@ -1,0 +1,159 @@
+"""One run: a state of a head, and the files and the record that it leaves."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modiolus.export import write_glb, write_vtu
+from modiolus.export.scene import FaceScene
+from modiolus.face.head import Head
+from modiolus.hermite import gauss
+from modiolus.hermite.tessellate import tessellate
+from modiolus.mechanics import Continuation, State
+from modiolus.mechanics.face import face_problem
+from modiolus.progress import Progress
+from modiolus.view.face import draw_face
+
+__all__ = ["Runner"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: Divisions of an element in the files for display.
+_VTU_DIVISIONS = 4
+
+
+class Runner:
+    """Solves states of one head, and keeps what they have in common.
+
+    Parameters
+    ----------
+    head : Head
+    quiet : bool
+        No progress.
+    """
+
+    def __init__(self, head: Head, quiet: bool = False) -> None:
+        self.head = head
+        self.quiet = quiet
+        self.problem = face_problem(head)
+        self.scene = FaceScene(head)
+        self._volume = tessellate(head.tissue, _VTU_DIVISIONS)
+
+    def solve(self, name: str, activations: Mapping[str, float]) -> State:
+        """Follow the face from rest to the activations of its muscles, by name without a side."""
+        with Progress(f"solving {name}", quiet=self.quiet) as progress:
+            continuation = Continuation(self.problem, report=progress.update)
+            return continuation.run(self.problem.load(activations))
+
+    def write(
+        self, name: str, title: str, state: State, folder: Path, target: Path, began: float
+    ) -> dict[str, Any]:
+        """Write the files of a run and return its record.
+
+        Parameters
+        ----------
+        name, title : str
+            Of the expression.
+        state : State
+        folder : Path
+            Where to write.
+        target : Path
+            Where the files will be found in the end.
+        began : float
+            `time.perf_counter` at the start of the run.
+        """
+        rest, moved = self.head.tissue.parameters, state.parameters
+        draw_face(
+            self.scene, rest, moved, f"{title or name} · {self.head.name}", folder / "face.png"
+        )
+        write_glb(
+            folder / "face.glb",
+            self.scene.shapes(rest),
+            {shape.name: {name: shape.vertices} for shape in self.scene.shapes(moved)[:2]},
+            str(self.head.about.get("attribution", "")),
+        )
+        self._write_tissue(state, folder / "tissue.vtu")
+        names = {
+            "picture": "face.png",
+            "model": "face.glb",
+            "tissue": "tissue.vtu",
+            "report": "report.json",
+        }
+        record = self.record(name, state)
+        record["wall_s"] = round(time.perf_counter() - began, 3)
+        record["files"] = {kind: str(target / file) for kind, file in names.items()}
+        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        return record
+
+    def record(self, name: str, state: State) -> dict[str, Any]:
+        """Return the figures of a state."""
+        statistics = state.statistics
+        return {
+            "expression": name,
+            "head": self.head.name,
+            "converged": statistics.converged,
+            "elements": self.head.tissue.n_elements,
+            "nodes": len(self.head.tissue.corner_nodes()[1]),
+            "unknowns": self.problem.n_unknowns,
+            "steps": statistics.steps,
+            "newton_iterations": statistics.newton_iterations,
+            "solve_s": round(statistics.solve_s, 3),
+            "wall_s": 0.0,
+            "J_min": statistics.J_min,
+            "J_max": statistics.J_max,
+            "volume_change": statistics.volume_change,
+            "max_penetration_mm": statistics.max_penetration_mm,
+            "activations": state.activations,
+            "landmarks": self.landmarks(state),
+            "files": {},
+        }
+
+    def landmarks(self, state: State) -> dict[str, dict[str, list[float]]]:
+        """Return rest and displacement in mm of the landmarks of both halves."""
+        rest, moved = self.head.landmark_points(), self.head.landmark_points(state.parameters)
+        return {
+            name: {
+                "rest": np.round(point, 4).tolist(),
+                "displacement": np.round(moved[name] - point, 4).tolist(),
+            }
+            for name, point in rest.items()
+        }
+
+    def _write_tissue(self, state: State, path: Path) -> None:
+        volume = self._volume
+        at = volume.elements, volume.xi
+        gradient = state.deformation_gradient(*at)
+        stretch = np.linalg.svd(gradient, compute_uv=False)[:, 0]
+        rest = volume.points(state.reference.parameters)
+        write_vtu(
+            path,
+            rest,
+            volume.cells,
+            {
+                "displacement": volume.points(state.parameters) - rest,
+                "J": volume.average(state.volume_ratio(*at)),
+                "stretch": volume.average(stretch),
+                "muscle_fraction": volume.average(_at_points(self.head.fraction, *at)),
+                "pressure": volume.average(state.pressure_at(*at)),
+            },
+        )
+
+
+def _at_points(values: Floats, elements: Ints, xi: Floats) -> Floats:
+    """Interpolate values at the 4 x 4 x 4 Gauss points of elements, (n_elements, 64), linearly.
+
+    Beyond the outermost Gauss points the value is that of the nearest one.
+    """
+    ticks = gauss(1, 4)[0][:, 0]
+    shares = [np.stack([np.interp(x, ticks, row) for row in np.eye(4)], axis=1) for x in xi.T]
+    cubes = values.reshape(-1, 4, 4, 4)[elements]
+    # The first direction runs fastest.
+    return np.asarray(np.einsum("nkji,ni,nj,nk->n", cubes, *shares))

@@ -1,0 +1,91 @@
+"""``modiolus simulate``: one expression."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
+from modiolus.cli.outputs import whole_folder
+from modiolus.errors import InputError
+
+
+@app.command(
+    epilog="Examples: modiolus simulate smile-closed · modiolus simulate my.toml --json · "
+    "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5"
+)
+def simulate(
+    expression: Annotated[
+        str,
+        typer.Argument(
+            metavar="[EXPRESSION|FILE.toml]",
+            help="smile-closed, smile-open, sad, terror, or a TOML file with activations.",
+            show_default=False,
+        ),
+    ] = "",
+    activation: Annotated[
+        list[str],
+        typer.Option(
+            "--activation",
+            metavar="MUSCLE=VALUE",
+            help="Activation of a muscle, 0 to 1; repeatable; counts more than the expression.",
+        ),
+    ] = [],  # noqa: B006
+    head: HeadName = "taro",
+    out: Out = Path("out"),
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Contract the muscles of an expression and write OUT/<name>/.
+
+    The folder has face.png, face.glb, tissue.vtu and report.json.
+    """
+    began = time.perf_counter()
+    from modiolus.face.expression import Expression, resolve
+    from modiolus.face.head import Head
+
+    given = dict(_activation(text) for text in activation)
+    if expression:
+        wanted = Expression.named(expression)
+    elif given:
+        wanted = Expression("custom")
+    else:
+        raise InputError("EXPRESSION: none given; name one, a TOML file, or use --activation")
+    chosen = Head.load(head)
+    activations = resolve({**wanted.activations, **given}, chosen.muscles)
+    target = out / wanted.name
+    with whole_folder(target, marker="report.json") as folder:
+        from modiolus.cli.run import Runner
+
+        runner = Runner(chosen, quiet)
+        state = runner.solve(wanted.name, activations)
+        record = runner.write(wanted.name, wanted.title, state, folder, target, began)
+    show(record, describe(record), as_json, quiet)
+
+
+def describe(record: dict[str, Any]) -> str:
+    """Return what a person wants to know of a run, in a few lines."""
+    corner = np.array(record["landmarks"]["mouth_corner_left"]["displacement"])
+    return (
+        f"{record['expression']} on {record['head']}: {record['steps']} steps, "
+        f"{record['newton_iterations']} iterations, {record['solve_s']:.1f} s; the corner of the "
+        f"mouth moved {np.linalg.norm(corner):.1f} mm\n"
+        f"Picture: {record['files']['picture']}\nReport:  {record['files']['report']}"
+    )
+
+
+def _activation(text: str) -> tuple[str, float]:
+    """Read ``muscle=value``."""
+    muscle, equals, value = text.partition("=")
+    try:
+        if not equals:
+            raise ValueError
+        return muscle.strip(), float(value)
+    except ValueError:
+        raise InputError(
+            f"--activation {text}: not of the form muscle=value; write, say, mentalis=0.5"
+        ) from None

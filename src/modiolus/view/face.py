@@ -1,0 +1,113 @@
+"""Pictures of a face: at rest, in a state, and every muscle alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modiolus.export.scene import FaceScene
+from modiolus.view.figure import Panel, Scale, figure
+from modiolus.view.raster import Camera
+
+__all__ = ["draw_catalogue", "draw_face"]
+
+Floats = NDArray[np.float64]
+
+#: Azimuth and elevation of the usual views, in degrees.
+VIEWS = {"front": (0.0, 2.0), "three-quarter": (38.0, 4.0)}
+
+
+def face_camera(scene: FaceScene, rest: Floats, view: str, zoom: float = 1.0) -> Camera:
+    """Return a camera that takes in the whole face.
+
+    Parameters
+    ----------
+    scene : FaceScene
+    rest : (n_params, 3) array
+        Parameters of the tissue at rest.
+    view : str
+        One of `VIEWS`.
+    zoom : float
+        Above 1 to come closer.
+    """
+    points = scene.skin_points(rest)
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = 0.5 * (low + high)
+    azimuth, elevation = VIEWS[view]
+    height = 1.06 * float(high[2] - low[2]) / zoom
+    return Camera(
+        (float(middle[0]), float(middle[1]), float(middle[2])), height, azimuth, elevation
+    )
+
+
+def draw_face(scene: FaceScene, rest: Floats, moved: Floats, heading: str, path: Path) -> None:
+    """Draw a face at rest and in a state, and how far its skin has moved; write a PNG.
+
+    Parameters
+    ----------
+    scene : FaceScene
+    rest, moved : (n_params, 3) arrays
+        Parameters of the tissue.
+    heading : str
+        A line above the pictures.
+    path : Path
+        The file to write.
+    """
+    distance = scene.displacement(moved)
+    scale = Scale("displacement (mm)", 0.0, _round_up(float(distance.max())))
+    looks = [
+        ("neutral", scene.shapes(rest), None),
+        ("contracted", scene.shapes(moved), None),
+        ("displacement", scene.shapes(moved, scale.colours(distance)), scale),
+    ]
+    panels = [
+        Panel(
+            face_camera(scene, rest, view),
+            shapes,
+            title=f"{title}, {view}",
+            scale=bar if view == "three-quarter" else None,
+        )
+        for view in VIEWS
+        for title, shapes, bar in looks
+    ]
+    figure(panels, path, columns=3, panel_size=(480, 560), heading=heading)
+
+
+def draw_catalogue(
+    scene: FaceScene,
+    rest: Floats,
+    states: Sequence[tuple[str, str, Floats]],
+    heading: str,
+    path: Path,
+) -> None:
+    """Draw one panel for every state on one page; write a PNG.
+
+    Parameters
+    ----------
+    scene : FaceScene
+    rest : (n_params, 3) array
+        Parameters of the tissue at rest.
+    states : sequence of (str, str, (n_params, 3) array)
+        Title, note and parameters.
+    heading : str
+        A line above the pictures.
+    path : Path
+        The file to write.
+    """
+    panels = [
+        Panel(face_camera(scene, rest, "front"), scene.shapes(moved), title=title, note=note)
+        for title, note, moved in states
+    ]
+    figure(panels, path, columns=6, panel_size=(300, 350), heading=heading)
+
+
+def _round_up(value: float) -> float:
+    """Return the next 1, 2, 3, 4, 5, 6 or 8 times a power of ten."""
+    if value <= 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    steps = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0]) * power
+    return float(steps[steps >= value * (1.0 - 1e-9)][0])

@@ -1,0 +1,207 @@
+"""The command line as a person meets it: what it prints, and what it leaves behind."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from modiolus import __version__
+from modiolus.cli import main
+from modiolus.cli.outputs import whole_folder
+from modiolus.errors import InputError
+
+COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head show"]
+
+
+@pytest.fixture
+def run(capsys, monkeypatch, tmp_path):
+    """Run the command line in an empty folder; return exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        printed = capsys.readouterr()
+        return left.value.code, printed.out, printed.err
+
+    return call
+
+
+def assert_refused(answer, *words):
+    """One line on standard error, exit code 2, nothing on standard output."""
+    code, out, error = answer
+    assert code == 2, error
+    assert out == ""
+    assert error.startswith("modiolus: ") and error.count("\n") == 1, error
+    for word in words:
+        assert word in error
+
+
+def test_version(run):
+    assert run("--version") == (0, f"modiolus {__version__}\n", "")
+
+
+def test_without_a_command_it_says_how_to_begin(run):
+    code, out, _ = run()
+    assert code == 0
+    assert "modiolus simulate smile-closed" in out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(run, command):
+    code, out, _ = run(*command.split(), "--help")
+    assert code == 0
+    assert "Example" in out and f"modiolus {command}" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulat"], ["simulate"]),
+        (["simulate"], ["EXPRESSION"]),
+        (["simulate", "smile-close"], ["smile-close", "did you mean smile-closed"]),
+        (["simulate", "gone.toml"], ["gone.toml", "cannot be read"]),
+        (["simulate", "smile-closed", "--head", "tara"], ["tara", "taro"]),
+        (["simulate", "smile-closed", "--head", "./nowhere"], ["nowhere"]),
+        (["simulate", "--activation", "mentalis"], ["--activation mentalis", "muscle=value"]),
+        (["simulate", "--activation", "mentalis=much"], ["--activation mentalis=much"]),
+        (["simulate", "--activation", "mentalus=0.5"], ["mentalus", "did you mean mentalis"]),
+        (["simulate", "--activation", "mentalis=nan"], ["mentalis", "nan", "0 to 1"]),
+        (["simulate", "--activation", "mentalis=-0.1"], ["mentalis", "-0.1", "0 to 1"]),
+        (["simulate", "--activation", "mentalis=1.01"], ["mentalis", "1.01", "0 to 1"]),
+        (["simulate", "--activation", "mentalis_left=0.5"], ["mentalis", "two sides differ"]),
+        (["simulate", "sad", "--out", "/dev/null"], ["--out /dev/null", "cannot be written"]),
+        (["simulate", "sad", "--out", "/proc/none"], ["--out /proc/none", "cannot be written"]),
+        (["simulate", "sad", "--outt", "x"], ["--outt"]),
+        (["build", "nowhere"], ["nowhere"]),
+        (["beam", "--angle", "steep"], ["--angle"]),
+        (["beam", "--angle", "nan"], ["--angle nan"]),
+        (["beam", "--angle", "120"], ["--angle 120", "-90 to 90"]),
+        (["beam", "--activation", "2"], ["--activation 2", "0 to 1"]),
+        (["head", "show", "--head", "tara"], ["tara", "taro"]),
+    ],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_bad_input_is_one_line(run, tmp_path, arguments, words, as_json):
+    assert_refused(run(*arguments, *(["--json"] if as_json else [])), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("activations = [", ["not a TOML file"]),
+        ("", ["no activations"]),
+        ("[activations]\n", ["no activations"]),
+        ("[activations]\nmentalis = 'much'\n", ["mentalis", "0 to 1"]),
+        ("[activations]\nmentalis = true\n", ["mentalis", "0 to 1"]),
+        ("[activations]\nmentalis = nan\n", ["mentalis", "nan"]),
+        ("[activations]\nmentallis = 0.2\n", ["mentallis", "did you mean mentalis"]),
+        ("activation = 1\n[activations]\nmentalis = 0.2\n", ["activation", "activations"]),
+    ],
+)
+def test_bad_expression_file_is_one_line(run, tmp_path, text, words):
+    (tmp_path / "my.toml").write_text(text)
+    assert_refused(run("simulate", "my.toml"), *words)
+
+
+def test_expression_file_that_is_not_text(run, tmp_path):
+    (tmp_path / "my.toml").write_bytes(bytes(range(128, 256)))
+    assert_refused(run("simulate", "my.toml"), "my.toml", "not a TOML file")
+
+
+def test_a_folder_of_somebody_else_is_left_alone(run, tmp_path):
+    (tmp_path / "out" / "beam-0").mkdir(parents=True)
+    (tmp_path / "out" / "beam-0" / "thesis.txt").write_text("mine")
+    assert_refused(run("beam", "--angle", "0"), "out/beam-0", "other files")
+    assert (tmp_path / "out" / "beam-0" / "thesis.txt").read_text() == "mine"
+
+
+def test_beam_prints_one_json_object(run, tmp_path):
+    code, out, error = run("beam", "--angle", "0", "--activation", "0.01", "--json")
+    assert code == 0, error
+    record = json.loads(out)
+    assert record["converged"] is True
+    # Fibres along the upper side shorten it: the tip rises, without twist or sideways motion.
+    x, y, z = record["tip_displacement"]
+    assert z > 1.0 and x < 0.0 and abs(y) < 1e-3
+    assert abs(record["twist_deg"]) < 1e-3
+    assert (tmp_path / record["files"]["picture"]).read_bytes()[:4] == b"\x89PNG"
+    assert json.loads((tmp_path / record["files"]["report"]).read_text()) == record
+
+
+def test_quiet_says_nothing(run):
+    assert run("beam", "--activation", "0.001", "--quiet") == (0, "", "")
+
+
+def test_interruption_leaves_nothing(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from modiolus.cli import main; main()", "beam", "--angle", "36"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not list(tmp_path.glob("out/.*.part")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert out == ""
+    assert error.splitlines()[-1] == "modiolus: interrupted; nothing was written"
+    assert "Traceback" not in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_whole_folder_appears_at_the_end(tmp_path):
+    target = tmp_path / "deep" / "run"
+    with whole_folder(target, marker="report.json") as folder:
+        (folder / "report.json").write_text("{}")
+        assert not target.exists()
+    assert [path.name for path in target.iterdir()] == ["report.json"]
+    assert [path.name for path in target.parent.iterdir()] == ["run"]
+
+
+def test_whole_folder_replaces_an_earlier_run(tmp_path):
+    for text in ("first", "second"):
+        with whole_folder(tmp_path / "run", marker="report.json") as folder:
+            (folder / "report.json").write_text(text)
+    assert (tmp_path / "run" / "report.json").read_text() == "second"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_whole_folder_keeps_the_earlier_run_after_a_failure(tmp_path):
+    with whole_folder(tmp_path / "run", marker="report.json") as folder:
+        (folder / "report.json").write_text("first")
+    with (
+        pytest.raises(RuntimeError),
+        whole_folder(tmp_path / "run", marker="report.json") as folder,
+    ):
+        (folder / "report.json").write_text("second")
+        raise RuntimeError
+    assert (tmp_path / "run" / "report.json").read_text() == "first"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_whole_folder_refuses_a_file(tmp_path):
+    (tmp_path / "run").write_text("a file")
+    with (
+        pytest.raises(InputError, match="it is a file"),
+        whole_folder(tmp_path / "run", marker="report.json"),
+    ):
+        pass
+
+
+def test_import_is_quick():
+    code = (
+        "import time; began = time.perf_counter(); import modiolus; import sys;"
+        "print(time.perf_counter() - began);"
+        "assert not {'numba', 'scipy', 'vtk', 'pyvista', 'typer'} & set(sys.modules)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+    assert float(answer.stdout) < 0.5

@@ -1,0 +1,153 @@
+"""Files for other programs, read back."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from modiolus.export import Shape, write_glb, write_vtu
+from modiolus.hermite import HermiteMesh, grid
+from modiolus.hermite.tessellate import Mirror, tessellate
+
+
+def block(counts=(3, 2, 1)):
+    """A straight block of 30 x 20 x 10 mm."""
+    axes = [np.linspace(0.0, 10.0 * n, n + 1) for n in counts]
+    return grid(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
+
+
+def volumes(points, hexahedra):
+    corners = points[hexahedra]
+    edges = np.stack([corners[:, k] - corners[:, 0] for k in (1, 3, 4)], axis=1)
+    return np.linalg.det(edges)
+
+
+def test_volume_is_filled_by_hexahedra_with_shared_corners():
+    mesh = block()
+    volume = tessellate(mesh, 3)
+    points = volume.points(mesh.parameters)
+    assert len(points) == (3 * 3 + 1) * (2 * 3 + 1) * (3 + 1)
+    assert volumes(points, volume.cells).min() > 0.0
+    assert volumes(points, volume.cells).sum() == pytest.approx(6000.0)
+    # Samples know their vertex, so values given at samples come back as they are.
+    sampled = mesh.evaluate(volume.elements, volume.xi)
+    np.testing.assert_allclose(volume.average(sampled), points, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [0, 1])
+def test_faces_of_a_block_look_outwards(axis, side):
+    mesh = block((1, 1, 1))
+    outward = (1 if side else -1) * (-1 if axis == 1 else 1)
+    face = mesh.face([0], axis, side)
+    surface = tessellate(face, 4, outward)
+    triangles = surface.points(mesh.parameters)[surface.cells]
+    area = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]).sum(
+        axis=0
+    )
+    expected = np.zeros(3)
+    expected[axis] = 200.0 * (1 if side else -1)
+    np.testing.assert_allclose(area, expected, atol=1e-9)
+
+
+def test_touching_sides_of_a_slit_stay_apart():
+    """Two blocks that touch but share no parameters keep their own vertices."""
+    lower, upper = block((1, 1, 1)), block((1, 1, 1))
+    raised = upper.parameters.copy()
+    raised[::8, 2] += 10.0
+    both = HermiteMesh(
+        3,
+        np.concatenate([lower.parameters, raised]),
+        sp.csr_matrix(sp.block_diag([lower.extraction, upper.extraction])),
+    )
+    assert tessellate(both, 2).functions.shape[0] == 2 * 27
+
+
+def test_mirror_closes_the_middle():
+    mesh = block((2, 1, 1))
+    face = mesh.face(np.arange(2), 2, 1)
+    half = tessellate(face, 2)
+    points = half.points(mesh.parameters)
+    whole = Mirror.of(points, half.cells, plane=0.0)
+    # 5 x 3 vertices on the half, of which 3 lie in the plane.
+    assert len(whole.source) == 2 * 15 - 3
+    triangles = whole.points(points)[whole.faces]
+    area = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]).sum(
+        axis=0
+    )
+    np.testing.assert_allclose(area, [0.0, 0.0, 2 * 400.0], atol=1e-9)
+
+
+def read_glb(path):
+    """Return the JSON of a binary glTF file and a function that reads an accessor."""
+    data = path.read_bytes()
+    magic, version, length = struct.unpack_from("<4sII", data)
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON"
+    content = json.loads(data[20 : 20 + size])
+    blob = data[20 + size + 8 :]
+
+    def accessor(number):
+        record = content["accessors"][number]
+        view = content["bufferViews"][record["bufferView"]]
+        dtype = {5126: np.float32, 5125: np.uint32}[record["componentType"]]
+        width = {"SCALAR": 1, "VEC3": 3}[record["type"]]
+        start = view.get("byteOffset", 0)
+        array = np.frombuffer(blob, dtype, record["count"] * width, start)
+        return array.reshape(-1, width)
+
+    return content, accessor
+
+
+def test_glb_holds_shapes_and_morph_targets(tmp_path):
+    vertices = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 10.0]])
+    faces = np.array([[0, 1, 2]])
+    skin = Shape(vertices, faces, (1.0, 0.5, 0.0), "skin")
+    teeth = Shape(vertices + 5.0, faces, (1.0, 1.0, 1.0), "teeth")
+    moved = vertices + np.array([1.0, 2.0, 3.0])
+    path = tmp_path / "face.glb"
+    write_glb(path, [skin, teeth], {"skin": {"smile": moved}}, attribution="somebody")
+    content, accessor = read_glb(path)
+
+    assert content["asset"]["copyright"] == "somebody"
+    assert [node["name"] for node in content["nodes"]] == ["skin", "teeth"]
+    mesh = content["meshes"][0]
+    assert mesh["extras"]["targetNames"] == ["smile"]
+    assert mesh["weights"] == [0.0]
+    primitive = mesh["primitives"][0]
+    # +x stays, +z of the head points up (+y), the front of the face (-y) to +z; in metres.
+    np.testing.assert_allclose(
+        accessor(primitive["attributes"]["POSITION"]),
+        [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0]],
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(
+        accessor(primitive["targets"][0]["POSITION"]),
+        np.tile([0.001, 0.003, -0.002], (3, 1)),
+        atol=1e-9,
+    )
+    normals = accessor(primitive["attributes"]["NORMAL"])
+    np.testing.assert_allclose(normals, np.tile([0.0, 0.0, 1.0], (3, 1)), atol=1e-6)
+    np.testing.assert_array_equal(accessor(primitive["indices"]).ravel(), [0, 1, 2])
+    for number, record in enumerate(content["accessors"]):
+        if "min" in record:
+            np.testing.assert_allclose(accessor(number).min(axis=0), record["min"])
+
+
+def test_vtu_is_read_back(tmp_path):
+    import pyvista
+
+    mesh = block()
+    volume = tessellate(mesh, 2)
+    points = volume.points(mesh.parameters)
+    moved = np.full(points.shape, 2.0)
+    path = tmp_path / "tissue.vtu"
+    write_vtu(path, points, volume.cells, {"displacement": moved, "J": np.ones(len(points))})
+    read = pyvista.read(path)
+    assert read.n_cells == 6 * 8
+    assert read.volume == pytest.approx(6000.0)
+    assert set(read.point_data) == {"displacement", "J"}
+    np.testing.assert_array_equal(read.point_data["displacement"], moved)
