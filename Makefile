@@ -53,7 +53,7 @@ lint: $(VENV)/.installed-dev
 	@$(BIN)/mypy
 
 bench: $(VENV)/.installed-core
-	@$(BIN)/python bench/bench.py
+	@$(BIN)/python benchmarks/assembly.py
 
 docs: $(VENV)/.installed-docs
 	@$(BIN)/sphinx-build --fail-on-warning --keep-going -q -b html docs docs/_build/html

@@ -91,8 +91,11 @@ class _Writer:
         attributes = pygltflib.Attributes(
             POSITION=self.vectors(shape.vertices @ _TO_GLTF * _MM_TO_M, bounds=True),
             NORMAL=self.vectors(normals),
-            COLOR_0=self.vectors(linear_light(shape.colours())),
         )
+        colour = np.asarray(shape.colour, dtype=float)
+        if colour.ndim == 2:
+            attributes.COLOR_0 = self.vectors(linear_light(colour))
+            colour = np.ones(3)
         triangles = np.ascontiguousarray(shape.faces, dtype=np.uint32).reshape(-1)
         morphs = []
         for vertices in targets.values():
@@ -105,7 +108,9 @@ class _Writer:
             pygltflib.Material(
                 name=shape.name,
                 pbrMetallicRoughness=pygltflib.PbrMetallicRoughness(
-                    metallicFactor=0.0, roughnessFactor=float(0.75 - 0.6 * shape.gloss)
+                    baseColorFactor=[*linear_light(colour).tolist(), 1.0],
+                    metallicFactor=0.0,
+                    roughnessFactor=float(0.75 - 0.6 * shape.gloss),
                 ),
                 doubleSided=True,
             )

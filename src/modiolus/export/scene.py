@@ -40,6 +40,13 @@ class FaceScene:
         the ``eyeball``.
     divisions : int
         Divisions of an element each way.
+
+    Attributes
+    ----------
+    skin_mirror : Mirror
+        How the two halves of the skin are joined.
+    colours : (n, 3) array
+        Natural sRGB colour of every vertex of the skin.
     """
 
     def __init__(self, head: Head, divisions: int = 8) -> None:
@@ -47,12 +54,13 @@ class FaceScene:
         lining = [name for name in head.sides if name not in skin and name != "midplane"]
         self._rest = head.tissue.parameters
         self._skin = _boundary(head, skin, divisions)
-        self._lining = _boundary(head, lining, divisions)
+        # The lining hardly shows: half as fine will do.
+        self._lining = _boundary(head, lining, max(divisions // 2, 1))
         self.skin_mirror = Mirror.of(self._skin.points(self._rest), self._skin.cells, head.midplane)
         self._lining_mirror = Mirror.of(
             self._lining.points(self._rest), self._lining.cells, head.midplane
         )
-        self._colours = self._paint(head, skin)
+        self.colours = self._paint(head, skin)
         self._still = [*_eyes(head), *_mouth(head)]
 
     def skin_points(self, parameters: Floats) -> Floats:
@@ -78,7 +86,7 @@ class FaceScene:
         skin = Shape(
             self.skin_points(parameters),
             self.skin_mirror.faces,
-            self._colours if colours is None else colours,
+            self.colours if colours is None else colours,
             "skin",
             gloss=0.22 if natural else 0.08,
             glow=0.7 if natural else 0.0,

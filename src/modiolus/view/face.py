@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,14 +34,12 @@ def face_camera(scene: FaceScene, rest: Floats, view: str, zoom: float = 1.0) ->
     zoom : float
         Above 1 to come closer.
     """
-    points = scene.skin_points(rest)
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle = 0.5 * (low + high)
     azimuth, elevation = VIEWS[view]
-    height = 1.06 * float(high[2] - low[2]) / zoom
-    return Camera(
-        (float(middle[0]), float(middle[1]), float(middle[2])), height, azimuth, elevation
-    )
+    axes = Camera((0.0, 0.0, 0.0), 1.0, azimuth, elevation).axes()
+    seen = scene.skin_points(rest) @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    x, y, z = 0.5 * (low + high) @ axes
+    return Camera((x, y, z), 1.08 * float(high[1] - low[1]) / zoom, azimuth, elevation)
 
 
 def draw_face(scene: FaceScene, rest: Floats, moved: Floats, heading: str, path: Path) -> None:
@@ -97,11 +96,19 @@ def draw_catalogue(
     path : Path
         The file to write.
     """
-    panels = [
-        Panel(face_camera(scene, rest, "front"), scene.shapes(moved), title=title, note=note)
-        for title, note, moved in states
-    ]
-    figure(panels, path, columns=6, panel_size=(300, 350), heading=heading)
+    distances = [scene.displacement(moved) for _, _, moved in states]
+    high = max((float(distance.max()) for distance in distances), default=0.0)
+    scale = Scale("displacement (mm)", 0.0, _round_up(high))
+    camera = face_camera(scene, rest, "front", zoom=1.2)
+    panels = []
+    for (title, note, moved), distance in zip(states, distances, strict=True):
+        # The skin keeps its colour where it hardly moves, and shows through elsewhere.
+        share = 0.6 * np.clip(distance / (0.15 * scale.high), 0.0, 1.0)[:, None]
+        colours = (1.0 - share) * scene.colours + share * scale.colours(distance)
+        panels.append(Panel(camera, scene.shapes(moved, colours), title=title, note=note))
+    if panels:
+        panels[-1] = replace(panels[-1], scale=scale)
+    figure(panels, path, columns=6, panel_size=(300, 330), heading=heading)
 
 
 def _round_up(value: float) -> float:

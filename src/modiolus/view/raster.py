@@ -200,7 +200,7 @@ _GROUND = np.array([1.00, 0.93, 0.88]) * 0.13
 _SCATTERED = 0.4 + 0.6 * np.array([1.00, 0.42, 0.30])
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=True)
 def _shade(  # type: ignore[no-untyped-def]
     vertices, faces, normals, colours, gloss, glow, lit, owner, weights, eye, axes, image
 ):
@@ -211,53 +211,66 @@ def _shade(  # type: ignore[no-untyped-def]
     """
     rows, columns = owner.shape
     lights = _LIGHTS[:, :3] @ axes
-    position = np.empty(3)
-    normal = np.empty(3)
-    colour = np.empty(3)
+    view, normal, colour = np.empty(3), np.empty(3), np.empty(3)
     for row in range(rows):
         for column in range(columns):
             face = owner[row, column]
             if face < 0:
                 continue
             i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
-            u, v, w = weights[row, column]
+            u, v, w = weights[row, column, 0], weights[row, column, 1], weights[row, column, 2]
             for axis in range(3):
-                position[axis] = (
+                view[axis] = eye[axis] - (
                     u * vertices[i, axis] + v * vertices[j, axis] + w * vertices[k, axis]
                 )
                 normal[axis] = u * normals[i, axis] + v * normals[j, axis] + w * normals[k, axis]
                 colour[axis] = u * colours[i, axis] + v * colours[j, axis] + w * colours[k, axis]
             if not lit[i]:
-                image[row, column] = colour
+                image[row, column, :] = colour
                 continue
-            view = eye - position
-            view /= np.sqrt(view @ view)
-            normal /= np.sqrt(normal @ normal + 1e-30)
             # Seen from behind: turn the normal round. The triangle decides, not its smooth
             # normal, which may well point away at an outline.
-            flat = np.cross(vertices[j] - vertices[i], vertices[k] - vertices[i])
-            if flat @ view < 0.0:
-                normal *= -1.0
+            facing = 0.0
+            for axis in range(3):
+                n, m = (axis + 1) % 3, (axis + 2) % 3
+                facing += view[axis] * (
+                    (vertices[j, n] - vertices[i, n]) * (vertices[k, m] - vertices[i, m])
+                    - (vertices[j, m] - vertices[i, m]) * (vertices[k, n] - vertices[i, n])
+                )
+            far = 1.0 / np.sqrt(view[0] ** 2 + view[1] ** 2 + view[2] ** 2)
+            unit = 1.0 / np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2 + 1e-30)
+            if facing < 0.0:
+                unit = -unit
+            up = 0.5
+            for axis in range(3):
+                view[axis] *= far
+                normal[axis] *= unit
+                up += 0.5 * normal[axis] * axes[1, axis]
             shiny = u * gloss[i] + v * gloss[j] + w * gloss[k]
             soft = u * glow[i] + v * glow[j] + w * glow[k]
-            up = 0.5 + 0.5 * (normal @ axes[1])
-            pixel = colour * (up * _SKY + (1.0 - up) * _GROUND)
+            for axis in range(3):
+                image[row, column, axis] = colour[axis] * (
+                    up * _SKY[axis] + (1.0 - up) * _GROUND[axis]
+                )
             for light in range(lights.shape[0]):
-                cosine = normal @ lights[light]
+                cosine, mirror, length = 0.0, 0.0, 0.0
+                for axis in range(3):
+                    half = view[axis] + lights[light, axis]
+                    cosine += normal[axis] * lights[light, axis]
+                    mirror += normal[axis] * half
+                    length += half * half
                 hard = max(cosine, 0.0)
                 wrapped = max((cosine + 0.45) / 1.45, 0.0) ** 2
                 shine = 0.0
-                if cosine > 0.0:
-                    half = view + lights[light]
-                    mirror = max(normal @ half, 0.0) / np.sqrt(half @ half)
+                if cosine > 0.0 and mirror > 0.0:
+                    mirror /= np.sqrt(length)
                     broad = 0.45 * (1.0 - shiny) * mirror**14
                     shine = shiny * (broad + 1.6 * shiny * mirror**90)
                 for axis in range(3):
                     diffuse = (1.0 - soft) * hard + soft * max(hard, wrapped * _SCATTERED[axis])
-                    pixel[axis] += _LIGHTS[light, 3 + axis] * (
+                    image[row, column, axis] += _LIGHTS[light, 3 + axis] * (
                         1.15 * diffuse * colour[axis] + shine
                     )
-            image[row, column] = pixel
 
 
 def draw(
