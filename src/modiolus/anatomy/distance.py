@@ -27,7 +27,7 @@ from modiolus.anatomy.bodyparts3d import BodyParts3D
 from modiolus.anatomy.surface import Surface
 from modiolus.errors import InputError
 
-__all__ = ["DistanceGrid", "DistanceSample", "deep_distances"]
+__all__ = ["DistanceGrid", "DistanceSample", "deep_distances", "distances_in_band"]
 
 #: Distance that one unit of the stored bytes stands for (mm).
 QUANTUM = 0.05
@@ -123,7 +123,7 @@ class DistanceGrid:
         if not (high > low).all():
             raise InputError(f"{surfaces[0].name}: nothing of it in the box; give another box")
         shape = np.maximum(np.ceil((high - low) / spacing).astype(int) + 1, 4)
-        values = _distances_in_band(whole, low, spacing, shape)
+        values = distances_in_band(whole, low, spacing, shape, 127 * QUANTUM)
         return cls(low, spacing, np.round(values / QUANTUM).astype(np.int8))
 
     def sample(self, points: np.ndarray) -> DistanceSample:
@@ -195,11 +195,28 @@ class DistanceGrid:
         return cls(origin, spacing, values.view(np.int8))
 
 
-def _distances_in_band(
-    surface: Surface, origin: np.ndarray, spacing: float, shape: np.ndarray
+def distances_in_band(
+    surface: Surface, origin: np.ndarray, spacing: float, shape: np.ndarray, band: float
 ) -> np.ndarray:
-    """Signed distances on a grid, clipped to the band, computed only where they are in it."""
-    band = 127 * QUANTUM
+    """Compute signed distances on a grid, clipped to a band and only where they are in it.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface, closed but for small holes.
+    origin : (3,) array
+        The first grid point (mm).
+    spacing : float
+        Grid spacing (mm).
+    shape : (3,) int array
+        Grid points in each direction.
+    band : float
+        Largest distance wanted (mm).
+
+    Returns
+    -------
+    array of that shape
+    """
     step = max(1, round(4.0 / spacing))
     coarse_shape = -(-(shape - 1) // step) + 1
     coarse = surface.signed_distance(_grid_points(origin, spacing * step, coarse_shape))
