@@ -137,7 +137,8 @@ def test_quiet_says_nothing(run):
     assert run("beam", "--activation", "0.001", "--quiet") == (0, "", "")
 
 
-def test_interruption_leaves_nothing(tmp_path):
+@pytest.mark.parametrize("delay", [0.0, 3.0])
+def test_interruption_leaves_nothing(tmp_path, delay):
     process = subprocess.Popen(
         [sys.executable, "-c", "from modiolus.cli import main; main()", "beam", "--angle", "36"],
         cwd=tmp_path,
@@ -148,6 +149,7 @@ def test_interruption_leaves_nothing(tmp_path):
     deadline = time.monotonic() + 60.0
     while not list(tmp_path.glob("out/.*.part")) and time.monotonic() < deadline:
         time.sleep(0.02)
+    time.sleep(delay)
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=60.0)
     assert process.returncode == 130

@@ -75,7 +75,7 @@ def fibres(muscle: Muscle, spacing: float = 0.6, across: int = 6) -> Curves:
         place = xi.copy()
         for step in range(9):
             line[8 + forwards * step] = mesh.evaluate(elements, place)
-            direction = muscle.directions(elements, place)
+            direction = muscle.frame(elements, place)[:, 0]
             rates = np.linalg.solve(mesh.jacobian(elements, place), direction[:, :, None])[..., 0]
             place = np.clip(place + forwards * rates * (lengths / 8.0)[:, None], 0.0, 1.0)
     points = np.stack(line, axis=1).reshape(-1, 3)

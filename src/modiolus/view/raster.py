@@ -183,16 +183,10 @@ def _srgb(light: Floats) -> Floats:
     )
 
 
-# Lights as rows of direction, in the camera's axes (right, up, towards the viewer), and linear
-# colour: a warm key light high on the left, a cool fill on the right, and a faint one from behind
-# along the outline.
-_LIGHTS = np.array(
-    [
-        [-0.483, 0.545, 0.685, 0.780, 0.749, 0.702],
-        [0.804, 0.095, 0.587, 0.224, 0.242, 0.260],
-        [0.533, 0.436, -0.726, 0.220, 0.220, 0.220],
-    ]
-)
+# A warm key light high on the left, a cool fill on the right, and a faint one from behind along
+# the outline: unit directions in the camera's axes (right, up, towards the viewer), linear colours.
+_LIGHTS = np.array([[-0.483, 0.545, 0.685], [0.804, 0.095, 0.587], [0.533, 0.436, -0.726]])
+_LIGHT_COLOURS = np.array([[0.780, 0.749, 0.702], [0.224, 0.242, 0.260], [0.220, 0.220, 0.220]])
 # The light of the surroundings, from above and from below.
 _SKY = np.array([0.94, 0.97, 1.00]) * 0.24
 _GROUND = np.array([1.00, 0.93, 0.88]) * 0.13
@@ -202,15 +196,16 @@ _SCATTERED = 0.4 + 0.6 * np.array([1.00, 0.42, 0.30])
 
 @numba.njit(cache=True, fastmath=True)
 def _shade(  # type: ignore[no-untyped-def]
-    vertices, faces, normals, colours, gloss, glow, lit, owner, weights, eye, axes, image
+    vertices, faces, normals, colours, gloss, glow, lit, owner, weights, open_sky, eye, axes, image
 ):
     """Write the linear light of every pixel that shows a triangle into `image` (h, w, 3).
 
     Lambert's and Blinn's terms for each light. Where a surface glows, its diffuse light reaches
-    past the terminator, most of all in red, as it does in skin.
+    past the terminator, most of all in red, as it does in skin. `open_sky` is what `_occlusion`
+    returns. Lines keep their plain colour.
     """
     rows, columns = owner.shape
-    lights = _LIGHTS[:, :3] @ axes
+    lights = _LIGHTS @ axes
     view, normal, colour = np.empty(3), np.empty(3), np.empty(3)
     for row in range(rows):
         for column in range(columns):
@@ -268,9 +263,13 @@ def _shade(  # type: ignore[no-untyped-def]
                     shine = shiny * (broad + 1.6 * shiny * mirror**90)
                 for axis in range(3):
                     diffuse = (1.0 - soft) * hard + soft * max(hard, wrapped * _SCATTERED[axis])
-                    image[row, column, axis] += _LIGHTS[light, 3 + axis] * (
+                    image[row, column, axis] += _LIGHT_COLOURS[light, axis] * (
                         1.15 * diffuse * colour[axis] + shine
                     )
+            for axis in range(3):
+                image[row, column, axis] *= open_sky[
+                    row // _SUPERSAMPLING, column // _SUPERSAMPLING
+                ]
 
 
 def draw(
@@ -324,11 +323,11 @@ def draw(
         scene.lit,
         owner,
         weights,
+        _occlusion(depth, rows / camera.height),
         eye,
         axes,
         image,
     )
-    image *= _occlusion(depth, rows / camera.height)[:, :, None]
     sampled = image.reshape(height, _SUPERSAMPLING, width, _SUPERSAMPLING, 3).mean(axis=(1, 3))
     return _srgb(sampled)
 
@@ -364,7 +363,7 @@ class _Scene:
 
 
 def _occlusion(depth: Floats, pixels_per_mm: float) -> Floats:
-    """Return how much of the surrounding light reaches each pixel, from the depth buffer.
+    """Return how much of the light reaches each pixel of the picture, from the depth buffer.
 
     A pixel that lies deeper than the blurred depth around it sits in a crease and is darkened
     (unsharp masking of the depth buffer: Luft, Colditz and Deussen, ACM TOG 25:1206, 2006).
@@ -378,4 +377,4 @@ def _occlusion(depth: Floats, pixels_per_mm: float) -> Floats:
         around = ndimage.gaussian_filter(seen.astype(float), sigma, truncate=2.0)
         mean = ndimage.gaussian_filter(filled, sigma, truncate=2.0) / np.maximum(around, 1e-6)
         light *= 1.0 - strength * np.where(seen, np.clip((filled - mean) / reach, 0.0, 1.0), 0.0)
-    return light.repeat(_SUPERSAMPLING, axis=0).repeat(_SUPERSAMPLING, axis=1)
+    return light
