@@ -25,3 +25,6 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+
+# The types in docstrings are prose, "(n, 3) array of elements": no links are meant by them.
+suppress_warnings = ["ref.python"]

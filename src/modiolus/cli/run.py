@@ -131,7 +131,7 @@ class Runner:
         volume = self._volume
         at = volume.elements, volume.xi
         gradient = state.deformation_gradient(*at)
-        stretch = np.linalg.svd(gradient, compute_uv=False)[:, 0]
+        stretch = np.asarray(np.linalg.svd(gradient, compute_uv=False)[:, 0], dtype=float)
         rest = volume.points(state.reference.parameters)
         write_vtu(
             path,

@@ -103,6 +103,8 @@ def figure(
         A line above everything.
     """
     width, height = panel_size
+    columns = min(columns, len(panels))
+    gap = max(width // 60, 4)
     text = max(width // 28, 12)
     margin = text
     top = margin + 2 * text if heading else 0
@@ -118,7 +120,7 @@ def figure(
         pen.text((margin, margin), heading, _INK, _font(round(1.35 * text)))
     for number, panel in enumerate(panels):
         left, above = width * (number % columns), top + step * (number // columns)
-        pixels = draw(panel.shapes, panel.curves, panel.camera, width, height)
+        pixels = draw(panel.shapes, panel.curves, panel.camera, width - gap, height - gap)
         page.paste(Image.fromarray(np.round(255 * pixels).astype(np.uint8)), (left, above + head))
         pen.text((left + margin, above + margin // 2), panel.title, _INK, _font(text))
         pen.text(

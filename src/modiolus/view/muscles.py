@@ -49,38 +49,35 @@ def draw_muscles(head: Head, heading: str, path: Path) -> None:
     figure(panels, path, columns=6, panel_size=(340, 340), heading=heading)
 
 
-def fibres(muscle: Muscle, spacing: float = 0.6, across: int = 6) -> Curves:
-    """Return short fibres on the outer and inner side of a muscle.
+def fibres(muscle: Muscle, across: int = 4) -> Curves:
+    """Return short fibres on the superficial and the deep side of a muscle.
 
-    Each is followed from a point of the mesh along the fibre direction, so that oblique fibres
-    show as what they are.
+    Each follows the fibre direction from a point of a lattice for a quarter of an element either
+    way, so that oblique fibres show as what they are.
 
     Parameters
     ----------
     muscle : Muscle
-    spacing : float
-        Step along a fibre in mm.
     across : int
         Fibres across an element.
     """
     mesh = muscle.mesh
     ticks = (np.arange(across) + 0.5) / across
-    seeds = np.array([(0.5, v, w) for v in ticks for w in (0.02, 0.98)])
+    seeds = np.array([(u, v, w) for u in (0.25, 0.75) for v in ticks for w in (0.02, 0.98)])
     elements = np.repeat(np.arange(mesh.n_elements), len(seeds))
     xi = np.tile(seeds, (mesh.n_elements, 1))
-    lengths = 0.5 * np.linalg.norm(mesh.jacobian(elements, xi)[:, :, 0], axis=1)
-    steps = np.arange(-8, 9)
-    line = [np.zeros(3)] * len(steps)
-    for forwards in (1, -1):
+    length = 0.25 * np.linalg.norm(mesh.jacobian(elements, xi)[:, :, 0], axis=1)
+    steps = 4
+    line = [np.zeros(3)] * (2 * steps + 1)
+    for way in (1, -1):
         place = xi.copy()
-        for step in range(9):
-            line[8 + forwards * step] = mesh.evaluate(elements, place)
+        for step in range(steps + 1):
+            line[steps + way * step] = mesh.evaluate(elements, place)
             direction = muscle.frame(elements, place)[:, 0]
             rates = np.linalg.solve(mesh.jacobian(elements, place), direction[:, :, None])[..., 0]
-            place = np.clip(place + forwards * rates * (lengths / 8.0)[:, None], 0.0, 1.0)
+            place = np.clip(place + way * rates * (length / steps)[:, None], 0.0, 1.0)
     points = np.stack(line, axis=1).reshape(-1, 3)
-    count = np.full(len(elements), len(steps), dtype=np.int64)
-    return Curves(points, count, _FIBRE, width=1.3, lift=0.25)
+    return Curves(points, np.full(len(elements), len(line)), _FIBRE, width=1.3, lift=0.25)
 
 
 def _outside(mesh: HermiteMesh) -> Shape:
