@@ -10,10 +10,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..anatomy.distance import DistanceGrid
-from ..anatomy.surface import Surface
+from ..anatomy.surface import MIDPLANE, Surface
 from ..fitting import PointTarget, Smoothing, fit
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
@@ -172,8 +171,61 @@ def origins(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attac
     return out
 
 
-def near_bone(
-    deep: Mapping[str, DistanceGrid], names: Iterable[str], points: Array
-) -> NDArray[np.float64]:
-    """Return the distance of points to the nearest of some deep structures, (n,)."""
-    return np.asarray(np.min([deep[name].sample(points).distance for name in names], axis=0))
+#: Retaining ligaments: distances (mm) from the tragus and from the mid-plane or the corner of
+#: the mouth at which they leave the bone, in a head of ordinary size. Zygomatic and mandibular
+#: ligament; mental, medial mandibular and osteocutaneous ligament lateral of the mid-plane and
+#: above the mandible's lower border.
+LIGAMENTS: dict[str, dict[str, float]] = {
+    "zygomatic_ligament": {"tragus": 66.5, "commissure": 56.3},
+    "mandibular_ligament": {"tragus": 114.8, "above_border": 8.0},
+    "mental_ligament": {"lateral": 9.1, "above_border": 8.4},
+    "medial_mandibular_ligament": {"lateral": 28.5, "above_border": 8.4},
+    "osteocutaneous_ligament": {"lateral": 51.1, "above_border": 9.1},
+}
+#: Size of this head relative to the adults that were measured (its similarity to the skin).
+SIZE = 0.87
+#: Stiffness (mN/mm) of a ligament and radius (mm) of the tissue that it holds.
+LIGAMENT_STIFFNESS, LIGAMENT_RADIUS = 300.0, 5.0
+#: The tragus, in front of the ear's canal (mm).
+TRAGUS = (66.0, -107.0, 1514.0)
+
+
+def ligaments(
+    mesh: HermiteMesh, inner: Side, corner: Array, deep: Mapping[str, DistanceGrid]
+) -> dict[str, Attachment]:
+    """Return the retaining ligaments as springs on the inner surface.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        The tissue.
+    inner : side
+        Its inner surface.
+    corner : (3,) array
+        Corner of the mouth.
+    deep : mapping of DistanceGrid
+        With ``skull`` and ``mandible``.
+    """
+    elements, axis, side = inner
+    face = mesh.face(elements, axis, side)
+    local, xi, _ = face.gauss_points(4)
+    points = face.evaluate(local, xi)
+    jaw = deep["mandible"].sample(points).distance < 2.5
+    border = points[jaw, 2].min()
+    measured = {
+        "tragus": np.linalg.norm(points - TRAGUS, axis=1),
+        "commissure": np.linalg.norm(points - corner, axis=1),
+        "lateral": points[:, 0] - MIDPLANE,
+        "above_border": points[:, 2] - border,
+    }
+    out: dict[str, Attachment] = {}
+    for name, places in LIGAMENTS.items():
+        bone = "skull" if "commissure" in places else "mandible"
+        miss = sum((measured[key] - SIZE * value) ** 2 for key, value in places.items())
+        miss = np.where(deep[bone].sample(points).distance < 2.5, miss, np.inf)
+        centre = points[np.argmin(miss)]
+        held = np.linalg.norm(points - centre, axis=1) < LIGAMENT_RADIUS
+        place = np.insert(xi[held], axis, float(side), axis=1)
+        stiffness = np.full(int(held.sum()), LIGAMENT_STIFFNESS / held.sum())
+        out[name] = Attachment(name, elements[local[held]], place, stiffness)
+    return out

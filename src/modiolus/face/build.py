@@ -1,0 +1,209 @@
+"""From a folder of anatomy to a head: the one documented way the shipped head was made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..anatomy import DEEP_STRUCTURES, BodyParts3D, DistanceGrid, deep_distances
+from ..anatomy.surface import Surface
+from ..hermite import HermiteMesh
+from ..hermite.basis import Array
+from .embed import (
+    boundary_surface,
+    bring_inside,
+    inside_fraction,
+    ligaments,
+    modiolus_centre,
+    modiolus_share,
+    muscle_fraction,
+    origins,
+)
+from .head import Head, RigidSurface
+from .muscles import build_muscles, muscle_table
+from .template import NECK_CUT
+from .tissue import EYE_CENTRE, EYE_RADIUS, Tissue, build_tissue, eyeball, outer_sheet
+
+Progress = Callable[[float, str], None]
+
+#: Spacing of the eyeball's distance grid (mm).
+_EYE_SPACING = 0.7
+
+ATTRIBUTION = (
+    "BodyParts3D, (c) The Database Center for Life Science, licensed under CC Attribution-Share "
+    "Alike 2.1 Japan. Mitsuhashi et al. 2009, Nucleic Acids Research 37:D782-D785, "
+    "doi 10.1093/nar/gkn613."
+)
+
+
+def build_head(
+    folder: str | Path, report: Progress | None = None, name: str = "taro"
+) -> tuple[Head, str]:
+    """Build a head from named surfaces.
+
+    Parameters
+    ----------
+    folder : path
+        The folder with the surfaces of BodyParts3D.
+    report : callable, optional
+        Told ``(fraction, message)`` as the work goes on.
+    name : str
+        Name of the head.
+
+    Returns
+    -------
+    head : Head
+        With the figures of the build in ``about["quality"]``.
+    table : str
+        The same figures and the muscles' quality for a person to read.
+
+    Raises
+    ------
+    InputError
+        A surface is missing or not sound.
+    SolveError
+        A part cannot be fitted.
+    """
+    tell = report or (lambda _fraction, _message: None)
+    anatomy = BodyParts3D(folder)
+    tell(0.0, "distances to the deep structures")
+    deep = deep_distances(anatomy, [n for n in DEEP_STRUCTURES if n != "eyeball"])
+    low, high = np.array(EYE_CENTRE) - 20.0, np.array(EYE_CENTRE) + 20.0
+    deep["eyeball"] = DistanceGrid.of([eyeball()], _EYE_SPACING, np.stack([low, high]))
+    tell(0.15, "tissue")
+    skin = anatomy.surface("skin")
+    tissue = build_tissue(skin, deep)
+    tell(0.25, "muscles")
+    muscles = build_muscles(anatomy)
+    tell(0.75, "muscles into the tissue")
+    outer = boundary_surface(tissue.mesh, tissue.sides["outer"])
+    inner = boundary_surface(tissue.mesh, tissue.sides["inner"])
+    muscles = {key: bring_inside(muscle, outer, inner) for key, muscle in muscles.items()}
+    tell(0.85, "muscle fraction and attachments")
+    element, xi = tissue.landmarks["mouth_corner"]
+    corner = tissue.mesh.evaluate([element], [(*xi[:2], 0.5)])[0]
+    attachments = origins(tissue.mesh, muscles)
+    attachments.update(ligaments(tissue.mesh, tissue.sides["inner"], corner, deep))
+    head = Head(
+        name=name,
+        tissue=tissue.mesh,
+        sides=tissue.sides,
+        landmarks=tissue.landmarks,
+        fraction=muscle_fraction(tissue.mesh, muscles.values()),
+        firmness=modiolus_share(tissue.mesh, modiolus_centre(muscles, corner)),
+        muscles=muscles,
+        deep={key: RigidSurface(key, grid) for key, grid in deep.items()},
+        attachments=attachments,
+        about={
+            "subject": "adult male",
+            "source": "BodyParts3D, release 3.0 (skin: release 4.0)",
+            "licence": "CC BY-SA 2.1 JP",
+            "attribution": ATTRIBUTION,
+            "changes": "Hermite meshes fitted to the surfaces; eyeball of "
+            f"{2 * EYE_RADIUS:g} mm; skin and muscles moved to make room for each other",
+            "quality": tissue_quality(tissue, outer_sheet(skin), deep),
+        },
+    )
+    share = {
+        key: round(inside_fraction(head.tissue, muscle, NECK_CUT), 4)
+        for key, muscle in muscles.items()
+    }
+    head.about["quality"]["inside"] = share
+    tell(0.95, "quality of the muscles")
+    table = quality_text(head) + "\n\n" + muscle_table(muscles, anatomy)
+    tell(1.0, "done")
+    return head, table
+
+
+def quality_text(head: Head) -> str:
+    """Return the figures of a head's build as plain text."""
+    quality = head.about["quality"]
+    lines = [f"{key:24} {value}" for key, value in quality.items() if not isinstance(value, dict)]
+    lines += ["", "thickness (mm)           here  literature"]
+    for name, value in quality["thickness_mm"].items():
+        lines.append(f"{name:24} {value:4}  {THICKNESS[name][2]}")
+    lines += ["", "inside the tissue        share"]
+    lines += [f"{name:38} {value:.3f}" for name, value in quality["inside"].items()]
+    return "\n".join(lines)
+
+
+def tissue_quality(
+    tissue: Tissue, sheet: Surface, deep: dict[str, DistanceGrid]
+) -> dict[str, Any]:
+    """Measure the tissue mesh: fit to the skin, shape of the elements, thickness.
+
+    The skin's fit leaves out the margins of lips and lids, the wings and base of the nose and
+    the last column before the ear.
+    """
+    mesh = tissue.mesh
+    elements, xi, _ = mesh.gauss_points(4)
+    determinant = np.linalg.det(mesh.jacobian(elements, xi))
+    error = skin_error(tissue, sheet)
+    return {
+        "elements": mesh.n_elements,
+        "skin_rms_mm": round(float(np.sqrt(np.mean(error**2))), 3),
+        "skin_p95_mm": round(float(np.percentile(error, 95)), 3),
+        "skin_max_mm": round(float(error.max()), 3),
+        "min_jacobian": round(float(determinant.min()), 3),
+        "min_scaled_jacobian": round(float(mesh.scaled_jacobian(elements, xi).min()), 3),
+        "volume_mm3": round(float(mesh.measures().sum())),
+        "bone_clearance_mm": round(_clearance(mesh, tissue, deep), 3),
+        "thickness_mm": thickness_table(mesh),
+    }
+
+
+def skin_error(tissue: Tissue, sheet: Surface) -> Array:
+    """Return the distance (n,) of points of the outer surface to the skin."""
+    from .template import COLUMNS, EYE_ROW, MOUTH_ROW
+
+    face = tissue.mesh.face(*tissue.sides["outer"])
+    elements, xi, _ = face.gauss_points(4)
+    column, row = elements % COLUMNS + xi[:, 0], elements // COLUMNS + xi[:, 1]
+    lips = (np.abs(row - MOUTH_ROW) < 0.5) & (column < 4.5)
+    lids = (np.abs(row - EYE_ROW) < 0.5) & (column > 2.5) & (column < 7.5)
+    wing = (row > 10.0) & (row < 12.5) & (column < 4.0)
+    keep = ~(lips | lids | wing | (column > COLUMNS - 1))
+    return np.asarray(sheet.closest(face.evaluate(elements, xi)[keep]).distance)
+
+
+def _clearance(mesh: HermiteMesh, tissue: Tissue, deep: dict[str, DistanceGrid]) -> float:
+    """Return the least distance of the inner surface to bone, teeth and gums (mm)."""
+    face = mesh.face(*tissue.sides["inner"])
+    elements, xi, _ = face.gauss_points(4)
+    points = face.evaluate(elements, xi)
+    bones = [grid for key, grid in deep.items() if key not in ("cartilage", "eyeball", "masseter")]
+    return float(min(grid.sample(points).distance.min() for grid in bones))
+
+
+#: Where thickness is told: column and row of the template, and the value of the literature
+#: over bone (mm), which is for adult heads about a seventh larger than this one.
+THICKNESS: dict[str, tuple[float, float, str]] = {
+    "rhinion": (0, 13.0, "3.1"),
+    "glabella": (0, 16.0, "5.3"),
+    "forehead": (2, 18.0, "8"),
+    "subnasale": (0, 10.0, "15.6"),
+    "philtrum": (0, 9.0, "11"),
+    "upper_lip": (0, 8.0, "8"),
+    "lower_lip": (0, 6.0, "8"),
+    "labiomental": (0, 5.0, "11"),
+    "pogonion": (0, 4.0, "12"),
+    "orbital_rim": (5, 13.0, "6-9"),
+    "mid_cheek": (6, 11.0, "14-18"),
+    "buccal": (7, 8.0, "20-25"),
+}
+
+
+def thickness_table(mesh: HermiteMesh) -> dict[str, float]:
+    """Return the depth of the layer (mm) at the landmarks of `THICKNESS`."""
+    from .template import COLUMNS, ROWS
+
+    out = {}
+    for name, (column, row, _) in THICKNESS.items():
+        i, j = min(int(column), COLUMNS - 1), min(int(row), ROWS - 1)
+        place = (column - i, row - j)
+        ends = mesh.evaluate([j * COLUMNS + i] * 2, [(*place, 0.0), (*place, 1.0)])
+        out[name] = round(float(np.linalg.norm(ends[1] - ends[0])), 1)
+    return out
