@@ -1,0 +1,89 @@
+"""Fits to clouds, surfaces and points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from modiolus.anatomy import Surface
+from modiolus.fitting import CloudTarget, PointTarget, Smoothing, SurfaceTarget, fit, sobolev
+from modiolus.hermite import HermiteMesh, grid
+
+
+def patch(n: int = 4, height: float = 8.0) -> HermiteMesh:
+    x, y = np.meshgrid(np.linspace(-5, 5, n), np.linspace(-5, 5, n), indexing="ij")
+    return grid(np.stack([x, y, np.full_like(x, height)], axis=-1))
+
+
+def sphere(radius: float = 10.0) -> Surface:
+    import pyvista
+
+    ball = pyvista.Icosphere(radius=radius, nsub=5)
+    return Surface(ball.points, ball.regular_faces, "sphere")
+
+
+def itself(mesh: HermiteMesh) -> HermiteMesh:
+    return mesh
+
+
+def test_a_patch_settles_on_a_sphere() -> None:
+    target = SurfaceTarget("sphere", itself, sphere())
+    result = fit(patch(), [target], Smoothing(second=1e-4))
+    radius = np.linalg.norm(result.mesh.evaluate(*result.mesh.gauss_points(6)[:2]), axis=1)
+    assert np.abs(radius - 10.0).max() < 0.03
+    assert result.groups["sphere"].rms < 0.02
+
+
+def test_a_cloud_is_fitted_and_its_report_is_that_of_the_residual() -> None:
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-4, 4, (400, 2)), np.zeros(400)])
+    points[:, 2] = 8.0 + 0.1 * points[:, 0] ** 2
+    result = fit(patch(), [CloudTarget("cloud", itself, points)], Smoothing(second=1e-5))
+    place = result.mesh.locate(points)
+    assert result.groups["cloud"].rms == pytest.approx(np.sqrt(np.mean(place.distance**2)), abs=2e-4)
+    assert place.distance.max() < 0.02
+
+
+def test_far_points_are_left_out() -> None:
+    points = np.array([[0.0, 0.0, 8.5], [1.0, 1.0, 30.0]])
+    target = CloudTarget("cloud", itself, points, reject=5.0)
+    assert fit(patch(), [target]).groups["cloud"].count == 1
+
+
+def test_fixed_parameters_stay_and_constraints_hold() -> None:
+    mesh = patch()
+    fixed = np.zeros((mesh.n_params, 3), dtype=bool)
+    fixed[:, 0] = True
+    matrix = sp.csr_matrix(([1.0, -1.0], ([0, 0], [3 * 0 + 2, 3 * 4 + 2])), (1, 3 * mesh.n_params))
+    target = PointTarget("pull", np.array([4]), np.array([[0.5, 0.5]]), np.array([[9.0, 9.0, 9.0]]))
+    result = fit(mesh, [target], Smoothing(second=1e-3), fixed, (matrix, np.array([0.25])))
+    moved = result.mesh.parameters
+    assert np.array_equal(moved[:, 0], mesh.parameters[:, 0])
+    assert moved[0, 2] - moved[4, 2] == pytest.approx(0.25, abs=1e-8)
+
+
+def test_sliding_lets_data_go_along_the_surface() -> None:
+    points = np.array([[0.5, 0.0, 8.4]])
+    stuck, slid = (
+        fit(patch(), [CloudTarget("c", itself, points, sliding=s)], iterations=1).mesh.parameters
+        for s in (1.0, 0.0)
+    )
+    assert np.abs(slid - stuck).max() < 1e-6
+
+
+def test_smoothing_is_zero_for_what_it_does_not_penalise() -> None:
+    mesh = patch()
+    bend = sobolev(mesh, Smoothing(first=0.0, second=1.0))
+    assert np.abs(bend @ mesh.parameters).max() < 1e-10
+    stretch = sobolev(mesh, Smoothing(first=(1.0, 0.0), second=0.0))
+    area = np.trace(mesh.parameters.T @ (stretch @ mesh.parameters))
+    assert area == pytest.approx(9 * (10.0 / 3) ** 2)
+
+
+def test_a_fit_without_targets_or_with_a_wrong_mask_is_refused() -> None:
+    with pytest.raises(ValueError, match="nothing to fit"):
+        fit(patch(), [])
+    target = PointTarget("p", np.array([0]), np.array([[0.5, 0.5]]), np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="fixed"):
+        fit(patch(), [target], fixed=np.zeros((2, 3), dtype=bool))
