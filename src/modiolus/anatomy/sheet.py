@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import igl
 import numpy as np
 from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
@@ -67,21 +68,32 @@ class Sheet:
         (n, 3) array
             Positions; of the nearest coordinates where the sheet does not reach.
         """
-        faces = self.surface.faces
-        # The sheet with the triangles that tie it to the rim, so that it reaches 0 and 1.
-        chosen = (self.side[faces] == side).any(axis=1) & (self.side[faces] != 1 - side).all(axis=1)
-        used = np.unique(faces[chosen])
-        known = np.stack([self.along[used], self.across[used]], axis=1)
-        values = self.surface.vertices[used]
-        if self.closed:
-            known = np.concatenate([known + [turn, 0.0] for turn in (-1.0, 0.0, 1.0)])
-            values = np.tile(values, (3, 1))
         asked = np.stack([along, across], axis=1)
-        found = LinearNDInterpolator(known, values)(asked)
+        linear, nearest = self._interpolators[side]
+        found = linear(asked)
         lost = ~np.isfinite(found).all(axis=1)
         if lost.any():
-            found[lost] = NearestNDInterpolator(known, values)(asked[lost])
+            found[lost] = nearest(asked[lost])
         return np.asarray(found)
+
+    @cached_property
+    def _interpolators(self) -> list[tuple[LinearNDInterpolator, NearestNDInterpolator]]:
+        faces = self.surface.faces
+        both = []
+        for side in (0, 1):
+            # The sheet with the triangles that tie it to the rim, so that it reaches 0 and 1.
+            of_side = (self.side[faces] == side).any(axis=1)
+            used = np.unique(faces[of_side & (self.side[faces] != 1 - side).all(axis=1)])
+            known = np.stack([self.along[used], self.across[used]], axis=1)
+            values = self.surface.vertices[used]
+            if self.closed:
+                turns = [known + np.array([turn, 0.0]) for turn in (-1.0, 0.0, 1.0)]
+                known = np.concatenate(turns)
+                values = np.tile(values, (3, 1))
+                near = np.abs(known[:, 0] - 0.5) < 0.7
+                known, values = known[near], values[near]
+            both.append((LinearNDInterpolator(known, values), NearestNDInterpolator(known, values)))
+        return both
 
 
 def clean_skin(
@@ -144,6 +156,7 @@ def clean_skin(
     # little farther out closes the holes that it left.
     for level in (0.15, 0.3, 0.45, 0.6):
         mesh = image.contour([level * spacing], scalars="distance", method="flying_edges")
+        mesh = mesh.smooth_taubin(n_iter=10, pass_band=0.2)
         shells = Surface(mesh.points, mesh.regular_faces[:, ::-1], surface.name).components()
         skin = max(shells, key=lambda shell: shell.volume)
         if len(skin.vertices) - len(skin.faces) // 2 == 2 - 2 * handles:
@@ -182,9 +195,9 @@ def strip(skin: Surface, spacing: float, corners: Sequence[Sequence[float]]) -> 
     marks = [int(np.argmax(skin.vertices @ np.asarray(c, dtype=float))) for c in corners]
     links = skin.vertices[skin.faces] - np.roll(skin.vertices[skin.faces], -1, axis=1)
     pairs = np.stack([skin.faces, np.roll(skin.faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    # The way from corner to corner keeps to the rim, where it is many times cheaper; longer
+    # The way from corner to corner keeps to the rim, where it is cheaper by far; longer
     # ways are found later and keep off those already taken.
-    price = np.linalg.norm(links, axis=2).ravel() * (1.05 - np.sqrt(rim[pairs]).mean(axis=1))
+    price = np.linalg.norm(links, axis=2).ravel() * (1.2 - np.sqrt(rim[pairs]).mean(axis=1))
     chords = [
         np.linalg.norm(skin.vertices[marks[k]] - skin.vertices[marks[k - 3]]) for k in range(4)
     ]
@@ -278,23 +291,30 @@ def ring(skin: Surface, spacing: float, start: Sequence[float]) -> Sheet:
 
 
 def _gap(points: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """Distance of points to the nearest vertex of a path."""
     return np.asarray(cKDTree(path).query(points)[0])
 
 
 def _laplacian(skin: Surface) -> csr_array:
-    """Return the positive Laplacian with cotangent weights of the intrinsic Delaunay edges."""
-    lengths = np.stack(
-        [
-            np.linalg.norm(
-                skin.vertices[skin.faces[:, (k + 1) % 3]]
-                - skin.vertices[skin.faces[:, (k + 2) % 3]],
-                axis=1,
-            )
-            for k in range(3)
-        ],
-        axis=1,
-    )
-    return csr_array(-igl.intrinsic_delaunay_cotmatrix(lengths, skin.faces)[0])
+    """Return the positive Laplacian with cotangent weights.
+
+    The weights are kept within bounds, so that slivers do no harm and the maximum principle
+    holds.
+    """
+    n = len(skin.vertices)
+    rows, columns, weights = [], [], []
+    for k in range(3):
+        a, b, c = (skin.vertices[skin.faces[:, (k + turn) % 3]] for turn in range(3))
+        twice_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        cotangent = ((b - a) * (c - a)).sum(axis=1) / np.maximum(twice_area, 1e-12)
+        rows.append(skin.faces[:, (k + 1) % 3])
+        columns.append(skin.faces[:, (k + 2) % 3])
+        weights.append(0.5 * np.clip(cotangent, 0.02, 20.0))
+    half = coo_array(
+        (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
+    ).tocsr()
+    whole = half + half.T
+    return csr_array(diags_array(whole.sum(axis=1)) - whole)
 
 
 def _harmonic(laplacian: csr_array, zero: np.ndarray, one: np.ndarray) -> np.ndarray:
@@ -317,7 +337,7 @@ def _solve(laplacian: csr_array, kept: np.ndarray, right: np.ndarray) -> np.ndar
 
 
 def _labels(skin: Surface, chosen: np.ndarray) -> np.ndarray:
-    """Number the connected patches of chosen vertices; -1 for the others."""
+    """Return the number of the connected patch of chosen vertices; -1 for the others."""
     n = len(skin.vertices)
     pairs = np.stack([skin.faces, np.roll(skin.faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     pairs = pairs[chosen[pairs].all(axis=1)]
@@ -351,20 +371,20 @@ def _rim_sharpness(skin: Surface, spacing: float) -> np.ndarray:
         direction in which the body around the vertex is thinnest.
     """
     reach = max(1.0, 2.0 * skin.volume / skin.area)
-    room = 4.0 * reach
+    room = 3.0 * reach
     low, high = skin.bounds + np.array([[-room], [room]])
     shape = np.ceil((high - low) / spacing).astype(int) + 1
     body = distances_in_band(skin, low, spacing, shape, 2.0 * spacing) < 0.0
-    axes = [spacing * np.arange(shape[k]) for k in range(3)]
-    grid = np.meshgrid(*axes, indexing="ij")
-
+    axes = [(spacing * np.arange(shape[k])).astype(np.float32) for k in range(3)]
+    grid = np.meshgrid(*axes, indexing="ij", sparse=True)
     places = ((skin.vertices - low) / spacing).T
 
     def blurred(field: np.ndarray) -> np.ndarray:
-        smooth = ndimage.gaussian_filter(field, reach / spacing, mode="constant")
-        return np.asarray(ndimage.map_coordinates(smooth, places, order=1))
+        smooth = ndimage.gaussian_filter(field, reach / spacing, mode="constant", truncate=3.0)
+        return np.asarray(ndimage.map_coordinates(smooth, places, order=1), dtype=np.float64)
 
-    mass = blurred(body.astype(np.float64))
+    body = body.astype(np.float32)
+    mass = blurred(body)
     mean = np.stack([blurred(body * grid[k]) for k in range(3)], axis=1) / mass[:, None]
     spread = np.empty((len(places[0]), 3, 3))
     for i in range(3):

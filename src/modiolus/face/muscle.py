@@ -202,7 +202,7 @@ class Muscle:
         """
         rule = self.quadrature((8, 2, 2))
         lengths = self._row_lengths()
-        row, place = self._rows()
+        row, place = self.rows()
         before = np.cumsum(lengths, axis=1) - lengths
         along = before[row, place][rule.elements]
         along = along + rule.xi[:, 0] * lengths[row, place][rule.elements]
@@ -237,11 +237,17 @@ class Muscle:
     def _end_elements(self, side: int) -> np.ndarray:
         if self._is_closed:
             raise InputError(f"{self.name}: a closed ring has no ends; ask for no end of it")
-        place = self._rows()[1]
+        place = self.rows()[1]
         return np.flatnonzero(place == (place.max() if side else 0))
 
-    def _rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row of elements along ξ1 and the place in it, of every element."""
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tell in which row of elements along ξ1 every element lies.
+
+        Returns
+        -------
+        row, place : (n_elements,) int arrays
+            The row, and the place in it from the origin.
+        """
         corners = self.corners
         ahead = {tuple(front): i for i, front in enumerate(corners[:, ::2].tolist())}
         following = [ahead.get(tuple(back), -1) for back in corners[:, 1::2].tolist()]
@@ -264,7 +270,7 @@ class Muscle:
         elements = np.repeat(np.arange(self.mesh.n_elements), len(xi))
         tangents = self.mesh.jacobian(elements, np.tile(xi, (self.mesh.n_elements, 1)))
         lengths = np.linalg.norm(tangents[:, :, 0], axis=1).reshape(-1, len(xi)) @ weights
-        row, place = self._rows()
+        row, place = self.rows()
         table = np.zeros((row.max() + 1, place.max() + 1))
         table[row, place] = lengths
         return table
