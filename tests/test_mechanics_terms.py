@@ -273,23 +273,25 @@ def test_contact_measures_gap_and_penetration():
     assert np.allclose(mesh.evaluate(*points[:2])[:, 2], 0.0)
     radius = 1e6
     # A nearly plane body 0.3 mm below the face.
-    contact = RigidContact(mesh, Sphere((5, 5, -radius - 0.3), radius), *points, stiffness=50.0)
+    body = Sphere((5, 5, -radius - 0.3), radius)
+    contact = RigidContact(mesh, body, *points, stiffness=50.0, onset=0.1)
     sunk = mesh.parameters.copy()
     sunk[::8, 2] -= 0.5
     vectors = contact.functions @ sunk
     assert contact.penetration(vectors) == pytest.approx(0.2, abs=1e-4)
     answer = contact.respond(vectors, Load())
-    assert answer.energies.sum() == pytest.approx(0.5 * 50 * 0.2**2 * 100, rel=1e-3)
-    assert answer.forces.sum(axis=0) == pytest.approx([0, 0, -50 * 0.2 * 100], rel=1e-3, abs=0.1)
+    # Integrals of a stiffness that grows to 50 kPa/mm over the first 0.1 mm, over 100 mm².
+    assert answer.forces.sum(axis=0) == pytest.approx([0, 0, -50 * 0.15 * 100], rel=1e-3, abs=0.1)
+    assert answer.energies.sum() == pytest.approx(
+        50 * 100 * (0.1**2 / 6 + (0.2**2 - 0.1**2) / 2 - 0.05 * 0.1), rel=1e-3
+    )
     # Lifted off, only the sliding zone holds back.
     lifted = vectors + np.array([0.0, 0.0, 1.0])
     assert contact.respond(lifted, Load()).energies.sum() == 0.0
-    held = RigidContact(
-        mesh, Sphere((5, 5, -radius - 0.3), radius), *points, 50.0, np.full(16, 0.1)
-    )
-    lift = (np.maximum(0.5, 0.0)) ** 2  # lifted by 1 - 0.5 from the rest distance
+    held = RigidContact(mesh, body, *points, stiffness=50.0, slide=np.full(16, 0.1))
+    # 1 - 0.5 mm from the distance at rest, held with a tenth of the stiffness.
     assert held.respond(lifted, Load()).energies.sum() == pytest.approx(
-        0.5 * 5.0 * lift * 100, rel=1e-3
+        0.5 * 5.0 * 0.5**2 * 100, rel=1e-3
     )
 
 
@@ -304,7 +306,7 @@ def test_pair_contact_measures_overlap_and_turns_with_the_surfaces():
     )
     upper = face_points(split, [1], 1, 0, 3)
     lower = (np.zeros(9, dtype=int), upper[1] * [1, 0, 1] + [0, 1, 0])
-    contact = PairContact(split, upper[:2], lower, 1, upper[2], stiffness=20.0)
+    contact = PairContact(split, upper[:2], lower, 1, upper[2], stiffness=20.0, onset=0.0)
     assert np.allclose(contact.normals, [0, 1, 0])
     moved = split.parameters.copy()
     moved[64::8, 1] -= 0.4

@@ -232,10 +232,18 @@ class Assembly:
             out += np.bincount(equations[keep], group.pressure_residual[keep], minlength=self.n)
         return out
 
-    def matrix(self) -> sp.csr_matrix:
-        """Return the upper triangle of the tangent of the free unknowns."""
+    def matrix(self, extra: Array | None = None) -> sp.csr_matrix:
+        """Return the upper triangle of the tangent of the free unknowns.
+
+        Parameters
+        ----------
+        extra : (n_displacements,) array, optional
+            Added to the diagonal of the displacements.
+        """
         data = np.empty(len(self._indices))
         kernels.gather(self._starts, self._sources, self._values, data)
+        if extra is not None:
+            data[self._indptr[: len(extra)]] += extra
         return sp.csr_matrix((data, self._indices, self._indptr), shape=(self.n, self.n))
 
     def multiply(self, direction: Array) -> Array:

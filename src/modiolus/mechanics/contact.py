@@ -22,13 +22,30 @@ class SignedDistance(Protocol):
         """Return distance (n,), gradient (n, 3) and Hessian (n, 3, 3); negative inside."""
 
 
+def penalty(depth: Array, onset: float) -> tuple[Array, Array, Array]:
+    """Return the unit penalty of a depth (n,), its slope and its second derivative.
+
+    Zero for negative depths and ``depth²/2 - …`` with unit stiffness beyond ``onset``; in
+    between the stiffness grows linearly from zero. Resting tissue touches itself and bone at
+    hundreds of points; were the stiffness to jump there, Newton's method would need three to
+    seven times as many factorisations.
+    """
+    t = np.maximum(depth, 0.0)
+    soft = t < onset
+    width = max(onset, 1e-12)
+    energy = np.where(soft, t**3 / (6.0 * width), t * (t - onset) / 2.0 + onset**2 / 6.0)
+    slope = np.where(soft, t**2 / (2.0 * width), t - onset / 2.0)
+    bend = np.where(soft, t / width, 1.0)
+    return energy, slope, bend
+
+
 class RigidContact(PointTerm):
     """Points of the tissue's surface against a rigid body.
 
     A point whose distance ``d`` falls below ``min(d_rest, 0)`` by ``g`` has the energy
-    ``ε/2 g² A``, so that the tissue at rest carries no stress wherever it touches. Where
-    the tissue slides on the body, lift-off beyond ``max(d_rest, 0)`` is resisted in the
-    same way with a fraction of the stiffness.
+    ``ε A penalty(g)``, so that the tissue at rest carries no stress wherever it touches.
+    Where the tissue slides on the body without leaving it, a fraction ``s`` of the stiffness
+    holds its distance: ``s ε A (d - d_rest)²/2``.
 
     Parameters
     ----------
@@ -42,7 +59,9 @@ class RigidContact(PointTerm):
     stiffness : float
         ε in kPa/mm.
     slide : (n,) array, optional
-        Fraction of the stiffness that resists lift-off; 0 (free) by default.
+        Fraction of the stiffness that holds the distance; 0 (free) by default.
+    onset : float
+        Depth in mm over which the stiffness grows to ε.
     name : str
     """
 
@@ -55,6 +74,7 @@ class RigidContact(PointTerm):
         areas: ArrayLike,
         stiffness: float = 100.0,
         slide: ArrayLike | None = None,
+        onset: float = 0.1,
         name: str = "contact",
     ) -> None:
         order = by_host(elements)
@@ -66,23 +86,26 @@ class RigidContact(PointTerm):
         self.surface = surface
         self.stiffness = stiffness * np.asarray(areas, dtype=float)[order]
         fraction = np.zeros(len(order)) if slide is None else np.asarray(slide, dtype=float)[order]
-        self.lift_stiffness = fraction * self.stiffness
-        rest = surface.sample(np.asarray(self.functions @ mesh.parameters))[0]
-        self.least = np.minimum(rest, 0.0)
-        self.greatest = np.maximum(rest, 0.0)
+        self.slide_stiffness = fraction * self.stiffness
+        self.onset = onset
+        self.rest = surface.sample(np.asarray(self.functions @ mesh.parameters))[0]
+        self.least = np.minimum(self.rest, 0.0)
 
-    def respond(self, vectors: Array, load: Load) -> Response:
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate the penalty; the stiffness holds the curvature of the body's surface."""
         distance, gradient, hessian = self.surface.sample(vectors)
-        deep = np.minimum(distance - self.least, 0.0)
-        lifted = np.maximum(distance - self.greatest, 0.0)
-        slope = self.stiffness * deep + self.lift_stiffness * lifted
-        bend = self.stiffness * (deep < 0.0) + self.lift_stiffness * (lifted > 0.0)
+        energies, slope, bend = penalty(self.least - distance, self.onset)
+        moved = distance - self.rest
+        energies = self.stiffness * energies + 0.5 * self.slide_stiffness * moved**2
+        slope = -self.stiffness * slope + self.slide_stiffness * moved
+        bend = self.stiffness * bend + self.slide_stiffness
+        # A convex body pushes tissue off sideways: the curvature is the part that can be
+        # negative, and on teeth it is large.
+        curved = 0.0 * slope if convex else slope
         stiffness = np.stack(
-            [bend * gradient[:, i] * gradient[:, j] + slope * hessian[:, i, j] for i, j in PAIRS],
+            [bend * gradient[:, i] * gradient[:, j] + curved * hessian[:, i, j] for i, j in PAIRS],
             axis=1,
         )
-        energies = 0.5 * (self.stiffness * deep**2 + self.lift_stiffness * lifted**2)
         return Response(energies, slope[:, None] * gradient, stiffness)
 
     def penetration(self, vectors: Array) -> float:
@@ -97,7 +120,7 @@ class PairContact(PointTerm):
     The gap of a pair is ``g = (x_upper - x_lower) · n``, with ``n`` the mean normal of the
     two surfaces, pointing from the lower to the upper one. It turns with the surfaces from
     one load step to the next and stands still within one. Gaps below ``min(g_rest, 0)``
-    have the energy ``ε/2 g² A``.
+    by ``t`` have the energy ``ε A penalty(t)``.
 
     Parameters
     ----------
@@ -111,6 +134,8 @@ class PairContact(PointTerm):
         In mm².
     stiffness : float
         ε in kPa/mm.
+    onset : float
+        Depth in mm over which the stiffness grows to ε.
     name : str
     """
 
@@ -122,6 +147,7 @@ class PairContact(PointTerm):
         axis: int,
         areas: ArrayLike,
         stiffness: float = 100.0,
+        onset: float = 0.1,
         name: str = "pair contact",
     ) -> None:
         pairs = np.stack([np.asarray(upper[0]), np.asarray(lower[0])], axis=1)
@@ -139,6 +165,7 @@ class PairContact(PointTerm):
         self._n_hosts = len(kinds)
         self.stiffness = stiffness * np.asarray(areas, dtype=float)[order]
         units = [[int(k == other) for k in range(3)] for other in range(3) if other != axis]
+        self.onset = onset
         self._tangents = [[mesh.functions(*side, unit) for unit in units] for side in sides]
         gap = np.asarray(functions @ mesh.parameters)
         normals = self._raw_normals(mesh.parameters)
@@ -171,14 +198,15 @@ class PairContact(PointTerm):
         """Turn the normals with the surfaces."""
         self.normals = self._mean_normals(self._raw_normals(parameters))
 
-    def respond(self, vectors: Array, load: Load) -> Response:
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate the penalty at fixed normals."""
         n = self.normals
-        deep = np.minimum((vectors * n).sum(axis=1) - self.least, 0.0)
-        slope = self.stiffness * deep
-        bend = self.stiffness * (deep < 0.0)
+        energies, slope, bend = (
+            self.stiffness * part
+            for part in penalty(self.least - (vectors * n).sum(axis=1), self.onset)
+        )
         stiffness = np.stack([bend * n[:, i] * n[:, j] for i, j in PAIRS], axis=1)
-        return Response(0.5 * slope * deep, slope[:, None] * n, stiffness)
+        return Response(energies, -slope[:, None] * n, stiffness)
 
     def penetration(self, vectors: Array) -> float:
         """Return the greatest overlap beyond that at rest, in mm."""

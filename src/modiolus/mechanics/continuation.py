@@ -41,6 +41,9 @@ class Settings:
         Factorisations in one step before it is rejected.
     least_ratio : float
         Smallest volume ratio at a Gauss point that a trial may have.
+    near : float
+        Correction in mm, root mean square, below which the tangent is the exact one; above,
+        it leaves out what can make contacts and fibres unstable.
     """
 
     tolerance: float = 1e-4
@@ -49,6 +52,7 @@ class Settings:
     max_steps: int = 80
     max_iterations: int = 12
     least_ratio: float = 0.05
+    near: float = 5e-3
 
 
 class _Rejected(Exception):
@@ -93,6 +97,7 @@ class Continuation:
         self.report = report
         self.solver = best_solver() if solver is None else solver
         self._fresh = False
+        self._diagonal: Array | None = None
         self._factorisations = 0
         self._iterations = 0
         self._trouble = ""
@@ -126,13 +131,13 @@ class Continuation:
                 steps += 1
                 state = self._advance(start.towards(load, target))
             except _Rejected:
-                step = 0.4 * (target - reached)
+                step = 0.3 * (target - reached)
                 self._fresh = False
                 if step < settings.least_step or steps >= settings.max_steps:
                     raise SolveError(self._account(load, reached)) from None
                 continue
             work = self._factorisations - before
-            step = (target - reached) * (1.7 if work <= 3 else 1.25 if work <= 5 else 0.7)
+            step = (target - reached) * float(np.clip(8.0 / work, 0.7, 2.5))
             reached = target
             statistics = replace(
                 state.statistics,
@@ -149,21 +154,39 @@ class Continuation:
                 )
         return self.state
 
-    def _factorise(self, parameters: Array, pressure: Array, load: Load) -> Evaluation:
-        evaluation = self.problem.evaluate(parameters, pressure, load, tangent=True)
-        self.solver.factorise(self.problem.tangent())
-        self._factorisations += 1
+    def _factorise(
+        self,
+        parameters: Array,
+        pressure: Array,
+        load: Load,
+        *,
+        convex: bool = False,
+        damping: float = 0.0,
+    ) -> Evaluation:
+        evaluation = self.problem.evaluate(parameters, pressure, load, tangent=True, convex=convex)
+        self._refactorise(damping)
         return evaluation
 
-    def _advance(self, load: Load) -> State:
-        """Return the equilibrium at ``load``, or reject the step."""
-        problem, settings = self.problem, self.settings
-        state = self.state
+    def _refactorise(self, damping: float) -> None:
+        """Factorise the element tangents at hand, with a multiple of the first diagonal added."""
+        extra = None if self._diagonal is None or damping == 0.0 else damping * self._diagonal
+        matrix = self.problem.tangent(extra)
+        if self._diagonal is None:
+            self._diagonal = matrix.diagonal()[: self.problem.assembly.n_displacements]
+        self.solver.factorise(matrix)
+        self._factorisations += 1
+
+    def _wrong_pivots(self) -> int:
+        found = self.solver.negative_pivots
+        return 0 if found is None else found - self.problem.assembly.n_pressures
+
+    def _predict(self, load: Load) -> tuple[Array, Array]:
+        """Move along the tangent of the last state against the whole change of the load."""
+        problem, state = self.problem, self.state
         problem.update(state.parameters)
         if not self._fresh:
             self._factorise(state.parameters, state.pressure, state.load)
             self._fresh = True
-        # Predictor: the tangent of the last state against the whole change of the load.
         held = problem.prescribe(load) - state.parameters
         held[~problem.fixed] = 0.0
         right = problem.evaluate(state.parameters, state.pressure, load).residual
@@ -175,39 +198,52 @@ class Continuation:
         while True:
             parameters, pressure = problem.add(moved, change, factor)
             evaluation = problem.evaluate(parameters, pressure, load)
-            if evaluation.volume_ratio.min() > settings.least_ratio:
-                break
+            if evaluation.volume_ratio.min() > self.settings.least_ratio:
+                return parameters, pressure
             factor *= 0.5
             if factor < 0.1:
                 self._reject("the prediction crushes the tissue", evaluation)
+
+    def _advance(self, load: Load) -> State:
+        """Return the equilibrium at ``load``, or reject the step."""
+        problem, settings = self.problem, self.settings
+        parameters, pressure = self._predict(load)
+        damping = 0.0
+        convex = True
         for _ in range(settings.max_iterations):
-            evaluation = self._factorise(parameters, pressure, load)
-            change = -self.solver.solve(evaluation.residual)
-            size = problem.size(change)
-            self._iterations += 1
-            if not np.isfinite(size):
-                self._reject("the tangent is singular", evaluation)
-            current = replace(state, parameters=parameters, pressure=pressure)
-            factor = 1.0
+            evaluation = self._factorise(parameters, pressure, load, convex=convex, damping=damping)
+            current = replace(self.state, parameters=parameters, pressure=pressure)
             while True:
-                parameters, pressure = problem.add(current, change, factor)
-                evaluation = problem.evaluate(parameters, pressure, load)
-                if evaluation.volume_ratio.min() > settings.least_ratio:
-                    following = -self.solver.solve(evaluation.residual)
-                    after = problem.size(following)
-                    if after <= max((1.0 - 0.25 * factor) * size, settings.tolerance):
+                # A negative pivot too many means that the tissue would buckle away from
+                # here, an empty line search that the tangent leads astray.
+                if self._wrong_pivots() <= 0:
+                    change = -self.solver.solve(evaluation.residual)
+                    size = problem.size(change)
+                    self._iterations += 1
+                    found = self._search(current, change, size, load)
+                    if found is not None:
                         break
-                factor *= 0.5
-                if factor < 0.04:
-                    self._reject("the line search found no descent", evaluation)
+                if not convex:
+                    convex = True
+                    self._factorise(parameters, pressure, load, convex=True, damping=damping)
+                    continue
+                damping = max(10.0 * damping, 0.01)
+                if damping > 20.0:
+                    self._reject("no damping makes the corrections descend", evaluation)
+                self._refactorise(damping)
+            damping = 0.0 if damping < 0.05 else 0.1 * damping
+            parameters, pressure, evaluation, following, full = found
+            after = problem.size(following)
+            convex = after > settings.near
             # Go on with these factors while that contracts well.
-            while factor == 1.0 and (after < 0.25 * size or after < settings.tolerance):
-                current = replace(state, parameters=parameters, pressure=pressure)
+            while full and damping == 0.0 and after < max(0.4 * size, settings.tolerance):
+                current = replace(self.state, parameters=parameters, pressure=pressure)
                 tried = problem.add(current, following)
-                evaluation = problem.evaluate(*tried, load)
-                if not evaluation.volume_ratio.min() > settings.least_ratio:
+                trial = problem.evaluate(*tried, load)
+                if not trial.volume_ratio.min() > settings.least_ratio:
                     break
                 parameters, pressure = tried
+                evaluation = trial
                 self._iterations += 1
                 if after < settings.tolerance:
                     return self._converged(parameters, pressure, load, evaluation)
@@ -217,12 +253,30 @@ class Continuation:
         self._reject(f"{settings.max_iterations} iterations were not enough", evaluation)
         raise AssertionError
 
+    def _search(
+        self, current: State, change: Array, size: float, load: Load
+    ) -> tuple[Array, Array, Evaluation, Array, bool] | None:
+        """Return the first trial along ``change`` that neither crushes nor diverges.
+
+        The correction that would follow may be up to three times as long: with contacts
+        and fibres that switch, insisting on descent takes more iterations than it saves.
+        """
+        factor = 1.0
+        while factor > 0.04:
+            parameters, pressure = self.problem.add(current, change, factor)
+            evaluation = self.problem.evaluate(parameters, pressure, load)
+            if evaluation.volume_ratio.min() > self.settings.least_ratio:
+                following = -self.solver.solve(evaluation.residual)
+                after = self.problem.size(following)
+                if after <= max(3.0 * size, self.settings.tolerance):
+                    return parameters, pressure, evaluation, following, factor == 1.0
+            factor *= 0.5
+        return None
+
     def _converged(
         self, parameters: Array, pressure: Array, load: Load, evaluation: Evaluation
     ) -> State:
-        wrong = self.solver.negative_pivots
-        if wrong is not None:
-            wrong -= self.problem.assembly.n_pressures
+        wrong = None if self.solver.negative_pivots is None else self._wrong_pivots()
         statistics = replace(
             self.problem.check(parameters, evaluation.volume_ratio), wrong_pivots=wrong
         )

@@ -121,8 +121,8 @@ def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]
             xi[near],
             areas[near],
             settings.contact,
-            slide,
-            f"contact with {name}",
+            slide=slide,
+            name=f"contact with {name}",
         )
 
 
@@ -139,5 +139,5 @@ def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[PairContact]:
             1,
             mean,
             settings.contact,
-            f"contact of the {part}s",
+            name=f"contact of the {part}s",
         )

@@ -343,16 +343,18 @@ def bulk(
 
 
 @njit(cache=True, parallel=True)
-def evaluate(parameters: Any, params: Any, hosts: Any, functions: Any) -> Any:
-    """Evaluate vector functionals ``v = Σ_a s_a x_a`` at points; (n, 3)."""
+def evaluate(parameters: Any, params: Any, starts: Any, functions: Any) -> Any:
+    """Evaluate vector functionals ``v = Σ_a s_a x_a`` at points sorted by element; (n, 3)."""
     n, m = functions.shape
-    out = np.zeros((n, 3))
-    for point in prange(n):
-        e = hosts[point]
+    out = np.empty((n, 3))
+    for e in prange(len(starts) - 1):
+        if starts[e] == starts[e + 1]:
+            continue
+        x = np.empty((m, 3))
         for a in range(m):
-            s = functions[point, a]
             for i in range(3):
-                out[point, i] += s * parameters[params[e, a], i]
+                x[a, i] = parameters[params[e, a], i]
+        out[starts[e] : starts[e + 1]] = np.dot(functions[starts[e] : starts[e + 1]], x)
     return out
 
 
@@ -366,7 +368,7 @@ def scatter_points(
     residual: Any,
     tangent: Any,
 ) -> None:
-    """Add point contributions to their host elements.
+    """Add point contributions to their elements.
 
     Parameters
     ----------
@@ -381,43 +383,30 @@ def scatter_points(
     """
     m = functions.shape[1]
     for e in prange(len(starts) - 1):
-        first, last = starts[e], starts[e + 1]
-        active = 0
-        for point in range(first, last):
-            moved = False
+        chosen = np.empty(starts[e + 1] - starts[e], np.int64)
+        n = 0
+        for point in range(starts[e], starts[e + 1]):
+            acts = False
             for i in range(3):
-                moved = moved or forces[point, i] != 0.0
-            if with_tangent:
-                for i in range(6):
-                    moved = moved or stiffness[point, i] != 0.0
-            if moved:
-                active += 1
-        if active == 0:
+                acts = acts or forces[point, i] != 0.0
+            for i in range(6):
+                acts = acts or stiffness[point, i] != 0.0
+            if acts:
+                chosen[n] = point
+                n += 1
+        if n == 0:
             continue
-        s = np.empty((active, m))
-        chosen = np.empty(active, np.int64)
-        active = 0
-        for point in range(first, last):
-            moved = False
-            for i in range(3):
-                moved = moved or forces[point, i] != 0.0
-            if with_tangent:
-                for i in range(6):
-                    moved = moved or stiffness[point, i] != 0.0
-            if moved:
-                chosen[active] = point
-                for a in range(m):
-                    s[active, a] = functions[point, a]
-                active += 1
-        for row in range(active):
-            for a in range(m):
-                for i in range(3):
-                    residual[e, a, i] += s[row, a] * forces[chosen[row], i]
+        s = np.empty((n, m))
+        force = np.empty((n, 3))
+        for row in range(n):
+            s[row] = functions[chosen[row]]
+            force[row] = forces[chosen[row]]
+        residual[e] += np.dot(s.T, force)
         if with_tangent:
-            scaled = np.empty((active, m))
+            scaled = np.empty((n, m))
             block = np.empty((m, m))
             for pair in range(6):
-                for row in range(active):
+                for row in range(n):
                     c = stiffness[chosen[row], pair]
                     for a in range(m):
                         scaled[row, a] = c * s[row, a]
@@ -435,6 +424,7 @@ def fibres(
     activations: Any,
     slacks: Any,
     law: Any,
+    convex: Any,
     energies: Any,
     forces: Any,
     stiffness: Any,
@@ -449,6 +439,8 @@ def fibres(
         muscle = muscles[point]
         w = weights[point]
         energy, force, slope = fibre(length, activations[muscle], slacks[muscle], law)
+        if convex:
+            slope = max(slope, 0.0)
         energies[point] = w * energy
         geometric = w * force / length
         normal = (w * slope - geometric) / (length * length)

@@ -301,9 +301,18 @@ class Problem:
         return parameters, pressure
 
     def evaluate(
-        self, parameters: Array, pressure: Array, load: Load, *, tangent: bool = False
+        self,
+        parameters: Array,
+        pressure: Array,
+        load: Load,
+        *,
+        tangent: bool = False,
+        convex: bool = False,
     ) -> Evaluation:
-        """Integrate every term; with ``tangent`` the element tangents are renewed too."""
+        """Integrate every term; with ``tangent`` the element tangents are renewed too.
+
+        With ``convex`` the tangent leaves out what can make contacts and fibres unstable.
+        """
         base = self.assembly.groups[0]
         if tangent:
             self.assembly.clear()
@@ -334,8 +343,8 @@ class Problem:
         }
         for term, number, functions, starts in self._bound:
             group = self.assembly.groups[number]
-            vectors = kernels.evaluate(parameters, group.pattern.params, term.hosts, functions)
-            answer = term.respond(vectors, load)
+            vectors = kernels.evaluate(parameters, group.pattern.params, starts, functions)
+            answer = term.respond(vectors, load, convex)
             energies[term.name] = energies.get(term.name, 0.0) + float(answer.energies.sum())
             kernels.scatter_points(
                 starts,
@@ -348,9 +357,12 @@ class Problem:
             )
         return Evaluation(energies, self.assembly.residual(), volume_ratio)
 
-    def tangent(self) -> sp.csr_matrix:
-        """Return the upper triangle of the tangent of the last evaluation that renewed it."""
-        return self.assembly.matrix()
+    def tangent(self, extra: Array | None = None) -> sp.csr_matrix:
+        """Return the upper triangle of the tangent of the last evaluation that renewed it.
+
+        ``extra`` (n_displacements,) is added to the diagonal of the displacements.
+        """
+        return self.assembly.matrix(extra)
 
     def update(self, parameters: Array) -> None:
         """Let the terms refresh what they keep fixed within a load step."""

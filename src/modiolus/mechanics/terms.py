@@ -101,8 +101,12 @@ class PointTerm(ABC):
         return None
 
     @abstractmethod
-    def respond(self, vectors: Array, load: Load) -> Response:
-        """Evaluate energy, force and stiffness for the points' vectors (n, 3)."""
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
+        """Evaluate energy, force and stiffness for the points' vectors (n, 3).
+
+        With ``convex`` the stiffness has no negative part: far from equilibrium that part
+        leads Newton's method astray.
+        """
 
     def update(self, parameters: Array) -> None:  # noqa: B027
         """Refresh what is kept fixed within a load step from converged parameters."""
@@ -209,7 +213,7 @@ class Fibres(PointTerm):
         self.law = FibreLaw() if law is None else law
         self.slacks = np.array([(slacks or {}).get(name, 1.0) for name in self.names])
 
-    def respond(self, vectors: Array, load: Load) -> Response:
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate the fibre potential ``ψ(|F f0|)``."""
         n = len(vectors)
         out = Response(np.empty(n), np.empty((n, 3)), np.empty((n, 6)))
@@ -220,6 +224,7 @@ class Fibres(PointTerm):
             np.array([load.activations.get(name, 0.0) for name in self.names]),
             self.slacks,
             self.law.array(),
+            convex,
             out.energies,
             out.forces,
             out.stiffness,
@@ -257,7 +262,7 @@ class Springs(PointTerm):
             raise InputError(f"{name}: a stiffness is negative or NaN; give values from 0 up")
         self.rest = np.asarray(self.functions @ mesh.parameters)
 
-    def respond(self, vectors: Array, load: Load) -> Response:
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate ``k/2 |x - X|²``."""
         moved = vectors - self.rest
         k = self.stiffness
