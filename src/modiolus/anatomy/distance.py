@@ -217,7 +217,7 @@ def distances_in_band(
     -------
     array of that shape
     """
-    step = max(1, round(4.0 / spacing))
+    step = max(1, round(0.6 * band / spacing))
     coarse_shape = -(-(shape - 1) // step) + 1
     coarse = surface.signed_distance(_grid_points(origin, spacing * step, coarse_shape))
     fine_shape = (coarse_shape - 1) * step + 1

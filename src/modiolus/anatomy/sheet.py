@@ -370,11 +370,16 @@ def _rim_sharpness(skin: Surface, spacing: float) -> np.ndarray:
         0 on a sheet, 1 on the rim: the sine of the angle between the surface's normal and the
         direction in which the body around the vertex is thinnest.
     """
+    import pyvista as pv
+
     reach = max(1.0, 2.0 * skin.volume / skin.area)
     room = 3.0 * reach
     low, high = skin.bounds + np.array([[-room], [room]])
     shape = np.ceil((high - low) / spacing).astype(int) + 1
-    body = distances_in_band(skin, low, spacing, shape, 2.0 * spacing) < 0.0
+    image = pv.ImageData(dimensions=tuple(shape), spacing=(spacing,) * 3, origin=low)
+    mesh = pv.PolyData.from_regular_faces(skin.vertices, skin.faces)
+    mask = mesh.voxelize_binary_mask(reference_volume=image)["mask"]
+    body = np.reshape(mask, shape, order="F").astype(np.float32)
     axes = [(spacing * np.arange(shape[k])).astype(np.float32) for k in range(3)]
     grid = np.meshgrid(*axes, indexing="ij", sparse=True)
     places = ((skin.vertices - low) / spacing).T
@@ -383,7 +388,6 @@ def _rim_sharpness(skin: Surface, spacing: float) -> np.ndarray:
         smooth = ndimage.gaussian_filter(field, reach / spacing, mode="constant", truncate=3.0)
         return np.asarray(ndimage.map_coordinates(smooth, places, order=1), dtype=np.float64)
 
-    body = body.astype(np.float32)
     mass = blurred(body)
     mean = np.stack([blurred(body * grid[k]) for k in range(3)], axis=1) / mass[:, None]
     spread = np.empty((len(places[0]), 3, 3))

@@ -184,7 +184,7 @@ _RECIPES = {
     "orbicularis_oculi_palpebral": _Recipe("orbicularis_oculi_palpebral", (12, 1)),
     "frontalis_medial": _Recipe("frontalis", (5, 4), split=(0, 2)),
     "frontalis_lateral": _Recipe("frontalis", (5, 4), split=(2, 4)),
-    "corrugator_supercilii": _Recipe("corrugator_supercilii", (4, 1)),
+    "corrugator_supercilii": _Recipe("corrugator_supercilii", (4, 2)),
     "procerus": _Recipe("procerus", (4, 2)),
     "nasalis": _Recipe("nasalis", (4, 3)),
     "depressor_septi_nasi": _Recipe("depressor_septi_nasi", (3, 2)),
@@ -314,10 +314,10 @@ def _fitted(sheet: Sheet, surface: Surface, source: _Source, recipe: _Recipe) ->
 
 
 #: Smallest scaled Jacobian that a muscle may have anywhere.
-_LEAST_JACOBIAN = 0.1
+_LEAST_JACOBIAN = 0.08
 
 #: Weights of the thickness's evenness, tried in turn.
-_WEIGHTS = (0.5, 2.0, 8.0, 30.0, 100.0)
+_WEIGHTS = (0.5, 1.0, 2.0, 4.0, 10.0, 30.0)
 
 
 def _even_places(
@@ -328,15 +328,11 @@ def _even_places(
     Conformal coordinates crowd where the sheet is narrow. Each is traded for the share of the
     mean length of its lines; lines stay the same. The mean lengths along and across come too.
     """
-    fine = np.linspace(0.0, 1.0, 81)
+    fine = np.linspace(0.0, 1.0, 41)
     u, v = np.meshgrid(part[0] + (part[1] - part[0]) * fine, fine, indexing="ij")
-    middle = np.mean(
-        [
-            sheet.points(side, (u % 1.0 if sheet.closed else u).ravel(), v.ravel())
-            for side in (0, 1)
-        ],
-        axis=0,
-    ).reshape(81, 81, 3)
+    along = u % 1.0 if sheet.closed else u
+    both = [sheet.points(side, along.ravel(), v.ravel()) for side in (0, 1)]
+    middle = np.mean(both, axis=0).reshape(*u.shape, 3)
     shares, sizes = [], np.empty(2)
     for axis in (0, 1):
         steps = np.linalg.norm(np.diff(middle, axis=axis), axis=2).mean(axis=1 - axis)
