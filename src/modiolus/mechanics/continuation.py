@@ -47,12 +47,12 @@ class Settings:
     """
 
     tolerance: float = 1e-4
-    first_step: float = 0.2
+    first_step: float = 0.06
     least_step: float = 2e-3
     max_steps: int = 80
     max_iterations: int = 12
     least_ratio: float = 0.05
-    near: float = 5e-3
+    near: float = 1e-3
 
 
 class _Rejected(Exception):
