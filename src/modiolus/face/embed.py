@@ -79,29 +79,55 @@ def depth_below(surface: Surface, points: Array) -> tuple[Array, Array]:
     return depth, normal
 
 
+#: Columns through a muscle's thickness that are moved: across, along and through an element.
+_COLUMNS = (5, 5, 3)
+#: A column between surfaces too close for it is thinned to this share at most.
+_THINNEST = 0.5
+
+
 def bring_inside(muscle: Muscle, outer: Surface, inner: Surface) -> Muscle:
     """Move the parts of a muscle that stand out of the tissue into it.
 
-    Sample points are pushed along the normals of the tissue's surfaces until they keep
-    their clearance, and the muscle is fitted to where they arrive.
+    Every column of points through the thickness is shifted as one along the normal of the
+    tissue until it keeps its clearance on both sides, and is thinned only where there is no
+    room for it; the muscle is fitted to where the columns arrive.
     """
     mesh = muscle.mesh
-    elements, xi, _ = mesh.gauss_points(5)
-    # The ends of the Gauss interval are stretched to the faces of the elements.
-    reach = xi.max()
-    xi = np.clip((xi - 0.5) / (2.0 * reach - 1.0) + 0.5, 0.0, 1.0)
-    points = mesh.evaluate(elements, xi)
-    start = points.copy()
-    for _ in range(12):
-        for surface, least, sign in ((outer, CLEARANCE[0], 1.0), (inner, CLEARANCE[1], -1.0)):
-            depth, normal = depth_below(surface, points)
-            push = np.nan_to_num(np.clip(least - sign * depth, 0.0, 1.0))
-            points -= sign * 0.5 * push[:, None] * normal
+    ticks = [np.linspace(0.0, 1.0, n) for n in _COLUMNS]
+    cell = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    elements = np.repeat(np.arange(mesh.n_elements), len(cell))
+    xi = np.tile(cell, (mesh.n_elements, 1))
+    start = mesh.evaluate(elements, xi).reshape(-1, _COLUMNS[2], 3)
+    points = start.copy()
+    for _ in range(8):
+        shape = points.shape[:2]
+        below, normal = depth_below(outer, points.reshape(-1, 3))
+        above, base = depth_below(inner, points.reshape(-1, 3))
+        lack_out = np.nanmax(CLEARANCE[0] - _known(below, shape, np.inf), axis=1)
+        lack_in = np.nanmax(CLEARANCE[1] + _known(above, shape, -np.inf), axis=1)
+        push_in, push_out = np.maximum(lack_out, 0.0), np.maximum(lack_in, 0.0)
+        inward = -normal.reshape(*shape, 3).mean(axis=1)
+        outward = base.reshape(*shape, 3).mean(axis=1)
+        points += 0.7 * (push_in[:, None] * inward + push_out[:, None] * outward)[:, None]
+        crowded = np.minimum(push_in, push_out)
+        span = np.linalg.norm(points[:, -1] - points[:, 0], axis=1)
+        least = _THINNEST * np.linalg.norm(start[:, -1] - start[:, 0], axis=1)
+        factor = np.clip((span - crowded) / np.maximum(span, 1e-9), 0.0, 1.0)
+        factor = np.maximum(factor, np.minimum(least / np.maximum(span, 1e-9), 1.0))
+        middle = points.mean(axis=1, keepdims=True)
+        points = middle + factor[:, None, None] * (points - middle)
     if np.abs(points - start).max() < 0.05:
         return muscle
-    target = PointTarget("inside", elements, xi, points)
-    smoothing = Smoothing(first=1e-4, second=2e-3, relative=True)
+    target = PointTarget("inside", elements, xi, points.reshape(-1, 3))
+    smoothing = Smoothing(first=2e-2, second=2e-2, relative=True)
     return replace(muscle, mesh=fit(mesh, [target], smoothing, iterations=1).mesh)
+
+
+def _known(depth: Array, shape: tuple[int, ...], otherwise: float) -> Array:
+    """Shape depths as columns; a column of which nothing is known gets another value."""
+    columns = depth.reshape(shape).copy()
+    columns[np.isnan(columns).all(axis=1)] = otherwise
+    return columns
 
 
 def inside_fraction(mesh: HermiteMesh, muscle: Muscle, above: float = -np.inf) -> float:
@@ -165,9 +191,7 @@ def origins(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attac
         if not near.any():
             continue
         weight = along[near] / along[near].sum()
-        out[name] = Attachment(
-            name, place.elements[near], place.xi[near], stiffness * weight
-        )
+        out[name] = Attachment(name, place.elements[near], place.xi[near], stiffness * weight)
     return out
 
 

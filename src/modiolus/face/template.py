@@ -10,6 +10,7 @@ leaves open is interpolated by a thin-plate spline and then fitted.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +20,8 @@ from scipy.interpolate import RBFInterpolator
 from ..anatomy.surface import Surface
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 #: Elements across (mid-plane to ear) and up (neck to scalp).
 COLUMNS, ROWS = 12, 21
@@ -176,15 +179,15 @@ GUIDES: dict[tuple[int, int], tuple[float, float, float]] = {
     (7, 19): (40.5, _, 1586.5),
     (8, 19): (_, -160.0, 1585.5),
     (12, 19): (_, -114.0, 1586.0),
-    (0, 20): (-0.67, _, 1596.0),
+    (0, 20): (-0.67, _, 1598.0),
     (3, 20): (15.0, _, 1598.0),
     (5, 20): (27.5, _, 1599.0),
     (7, 20): (38.5, _, 1599.5),
     (8, 20): (_, -154.0, 1599.0),
     (12, 20): (_, -114.0, 1598.0),
-    (0, 21): (-0.67, _, 1607.0),
-    (3, 21): (14.5, _, 1609.5),
-    (5, 21): (26.5, _, 1611.5),
+    (0, 21): (-0.67, _, 1611.5),
+    (3, 21): (14.5, _, 1612.0),
+    (5, 21): (26.5, _, 1612.5),
     (7, 21): (36.5, _, 1612.5),
     (8, 21): (_, -147.0, 1612.0),
     (12, 21): (_, -114.0, 1609.5),
@@ -278,7 +281,7 @@ class Layout:
         """Return nodal derivatives (n_nodes, 4, 3) from surface parameters (n_params, 3)."""
         return np.asarray(parameters[self.index])
 
-    def scatter(self, nodal: Array) -> Array:
+    def scatter(self, nodal: NDArray[_Scalar]) -> NDArray[_Scalar]:
         """Return surface parameters (n_params, ...) from nodal values (n_nodes, 4, ...)."""
         out = np.zeros((self.n_params, *nodal.shape[2:]), dtype=nodal.dtype)
         # Written backwards: where a version shares a parameter, the regular node has the word.
@@ -308,7 +311,7 @@ def mesh_of(columns: NDArray[np.int64], parameters: Array) -> HermiteMesh:
 
 
 def layout() -> Layout:
-    """Number the nodes, elements and parameters of the template."""
+    """Give numbers to the nodes, elements and parameters of the template."""
     node = np.arange((COLUMNS + 1) * (ROWS + 1)).reshape(ROWS + 1, COLUMNS + 1).T
     upper: dict[tuple[int, int], int] = {}
     versions: dict[tuple[int, int, bool], int] = {}
@@ -322,9 +325,9 @@ def layout() -> Layout:
     corners = np.zeros((COLUMNS * ROWS, 4), dtype=np.int64)
     for j in range(ROWS):
         for i in range(COLUMNS):
-            below = [upper.get((i + s, j), int(node[i + s, j])) for s in (0, 1)]
-            above = [int(node[i + s, j + 1]) for s in (0, 1)]
-            corners[j * COLUMNS + i] = below + above
+            near = [upper.get((i + s, j), int(node[i + s, j])) for s in (0, 1)]
+            far = [int(node[i + s, j + 1]) for s in (0, 1)]
+            corners[j * COLUMNS + i] = near + far
     for (i, j, above), version in versions.items():
         for slit in SLITS:
             if j == slit.row and i in slit.ends():
@@ -422,7 +425,7 @@ def differentiate(plan: Layout, values: Array, along: int) -> Array:
             lines.append(line)
     written = np.zeros(len(values), dtype=bool)
     for line in lines:
-        slope = np.gradient(values[line], axis=0, edge_order=min(2, len(line) - 1))
+        slope = np.gradient(values[line], axis=0, edge_order=2 if len(line) > 2 else 1)
         fresh = [k for k, n in enumerate(line) if not written[n]]
         out[np.array(line)[fresh]] = slope[fresh]
         written[line] = True

@@ -60,12 +60,14 @@ DEPTHS: dict[tuple[float, float], float] = {
     (0, 2): 11, (4, 2): 11, (8, 2): 12, (12, 2): 11,
     (0, 3): 16, (4, 3): 16, (8, 3): 16, (12, 3): 13,
     (0, 5): 16, (4, 5): 16, (8, 5): 19, (12, 5): 13,
-    (0, 7): 11, (2, 7): 11, (3, 7): 6, (4, 7): 7.5, (5, 7): 12, (6, 7): 17, (8, 7): 20, (10, 7): 18, (12, 7): 12,
-    (0, 9): 8.5, (4, 9): 12, (6, 9): 18, (8, 9): 20, (12, 9): 11,
-    (0, 10): 6, (2, 10): 6, (3, 10): 7, (4, 10): 12, (5, 10): 16, (8, 10): 19, (12, 10): 10,
+    (0, 7): 11, (2, 7): 11, (3, 7): 6, (4, 7): 7.5, (5, 7): 12, (6, 7): 17, (8, 7): 20,
+    (10, 7): 18, (12, 7): 12,
+    (0, 9): 8.5, (4, 9): 12, (6, 9): 18, (8, 9): 18, (12, 9): 10,
+    (0, 10): 6, (2, 10): 6, (3, 10): 7, (4, 10): 12, (5, 10): 16, (8, 10): 17, (12, 10): 8,
     (0, 11): 3.5, (1, 11): 3.5, (2, 11): 4, (3, 11): 4.5, (4, 11): 11, (5, 11): 16,
-    (8, 11): 16, (12, 11): 9,
-    (0, 12): 3, (1, 12): 3, (2, 12): 3.5, (3, 12): 5, (4, 12): 11, (6, 12): 15, (8, 12): 12, (12, 12): 8,
+    (8, 11): 15, (10, 11): 7, (12, 11): 6,
+    (0, 12): 3, (1, 12): 3, (2, 12): 3.5, (3, 12): 5, (4, 12): 11, (6, 12): 15, (8, 12): 12,
+    (12, 12): 8,
     (0, 13): 4, (2, 13): 5, (3, 13): 7, (5, 13): 9, (7, 13): 9, (9, 13): 8, (12, 13): 7,
     (2, 14): 6, (3, 14): 5, (5, 14): 3, (7, 14): 5, (8, 14): 6, (9, 14): 7, (12, 14): 7,
     (0, 15): 8, (3, 15): 7, (5, 15): 6, (7, 15): 7, (9, 15): 7, (12, 15): 7,
@@ -148,13 +150,13 @@ class _Lattice:
     average: sp.csr_matrix
 
     def inward(self, points: Array) -> Array:
-        """Unit normals of the lattice that point into the head, (n, 3)."""
+        """Return unit normals of the lattice that point into the head, (n, 3)."""
         diagonals = points[self.quads[:, 2]] - points[self.quads[:, 0]]
         across = points[self.quads[:, 3]] - points[self.quads[:, 1]]
         normals = np.zeros_like(points)
         for corner in range(4):
             np.add.at(normals, self.quads[:, corner], np.cross(across, diagonals))
-        return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def _lattice(surface: HermiteMesh, divisions: int) -> _Lattice:
@@ -177,7 +179,7 @@ def _depth_limit(place: Array) -> Array:
     spline = RBFInterpolator(
         np.array(list(DEPTHS), dtype=float), np.array(list(DEPTHS.values())), kernel="linear"
     )
-    return np.clip(spline(place), 1.5, 21.0)
+    return np.asarray(np.clip(spline(place), 1.5, 21.0))
 
 
 def _nearest(deep: Mapping[str, DistanceGrid], points: Array) -> tuple[Array, Array]:
@@ -249,14 +251,15 @@ def fit_outer(
     bones = {name: deep[name] for name in ("skull", "mandible", "eyeball")}
     for _ in range(3):
         lattice = _lattice(surface, LATTICE)
-        distance, gradient = _nearest(bones, lattice.points)
+        distance, _ = _nearest(bones, lattice.points)
         over_lid = np.isclose(lattice.place[:, 1], EYE_ROW, atol=0.6)
         over_lid &= (lattice.place[:, 0] > MEDIAL_CANTHUS) & (lattice.place[:, 0] < LATERAL_CANTHUS)
         least = np.where(over_lid, LEAST_LID + 0.2, LEAST + MARGIN)
         lift = np.clip(least - distance, 0.0, 2.7)
-        # The nose's bridge is thin by nature.
+        # The nose's bridge is thin by nature, and beside the temple there is no muscle.
         lift[(lattice.place[:, 0] < 3.0) & (np.abs(lattice.place[:, 1] - 12.5) < 2.0)] = 0.0
-        for _smooth in range(4):
+        lift *= np.clip((10.5 - lattice.place[:, 0]) / 2.0, 0.0, 1.0)
+        for _smooth in range(10):
             lift = np.maximum(lift, 0.0) * 0.5 + 0.5 * (lattice.average @ lift)
         raised = lattice.points + lift[:, None] * -lattice.inward(lattice.points)
         place = PointTarget("lifted", lattice.elements, lattice.xi, raised)
@@ -311,7 +314,9 @@ def shrink(
         step = np.clip(distance - MARGIN, -stride, stride)
         ahead = np.minimum(step, np.clip(limit - gone, -stride, stride))
         step = np.where(step > 0.0, ahead, step)
-        travel += np.where((step >= 0.0)[:, None], step[:, None] * direction, -step[:, None] * gradient)
+        travel += np.where(
+            (step >= 0.0)[:, None], step[:, None] * direction, -step[:, None] * gradient
+        )
         smooth = 0.65 * travel + 0.35 * (lattice.average @ travel)
         travel = np.where((mouth | lids)[:, None], travel, smooth)
         hold(travel)
@@ -350,23 +355,39 @@ def build_tissue(skin: Surface, deep: Mapping[str, DistanceGrid]) -> Tissue:
     held[[plan.node[0, MOUTH_ROW], plan.upper[0, MOUTH_ROW]], ::2, 0] = True
     start = outer.with_parameters(plan.scatter(nodal))
     fixed = plan.scatter(held)
-    inner_fit = fit(
-        start,
-        [PointTarget("envelope", lattice.elements, lattice.xi, arrived)],
-        Smoothing(first=1e-4, second=5e-3),
-        fixed,
-        iterations=1,
-    )
+    inner_fit = _fit_envelope(start, lattice, arrived, fixed, deep)
     surfaces = [_closed(plan, inner_fit.mesh.parameters), _closed(plan, outer.parameters)]
     mesh = _layer(plan, *surfaces)
     return Tissue(mesh, _sides(plan), _landmarks(plan), {"outer": outer_fit, "inner": inner_fit})
+
+
+def _fit_envelope(
+    start: HermiteMesh,
+    lattice: _Lattice,
+    arrived: Array,
+    fixed: NDArray[np.bool_],
+    deep: Mapping[str, DistanceGrid],
+) -> FitResult:
+    """Fit the inner surface, and fit again to targets moved off the bone that it still enters."""
+    hard = {name: grid for name, grid in deep.items() if name not in ("cartilage", "masseter")}
+    smoothing = Smoothing(first=1e-4, second=5e-3)
+    targets = arrived.copy()
+    for _ in range(5):
+        place = PointTarget("envelope", lattice.elements, lattice.xi, targets)
+        result = fit(start, [place], smoothing, fixed, iterations=1)
+        distance, gradient = _nearest(hard, result.mesh.evaluate(lattice.elements, lattice.xi))
+        lack = np.clip(0.5 * MARGIN - distance, 0.0, 1.0)
+        if lack.max() < 0.02:
+            break
+        targets += lack[:, None] * gradient
+    return result
 
 
 def _nodes_of(plan: Layout, lattice: _Lattice) -> NDArray[np.int64]:
     """Lattice point of every node."""
     out = np.zeros(plan.n_nodes, dtype=np.int64)
     found = {
-        (int(e), int(round(a)), int(round(b))): k
+        (int(e), round(a), round(b)): k
         for k, (e, (a, b)) in enumerate(zip(lattice.elements, lattice.xi, strict=True))
         if a in (0.0, 1.0) and b in (0.0, 1.0)
     }
@@ -379,7 +400,8 @@ def _nodes_of(plan: Layout, lattice: _Lattice) -> NDArray[np.int64]:
     for (i, j, _above), node in plan.versions.items():
         main = int(plan.node[i, j])
         known = [by_node[n] for n in (main, node) if n in by_node]
-        known += [by_node[n] for (a, b, _), n in plan.versions.items() if (a, b) == (i, j) and n in by_node]
+        others = [n for (a, b, _), n in plan.versions.items() if (a, b) == (i, j)]
+        known += [by_node[n] for n in others if n in by_node]
         out[node] = out[main] = known[0]
     return out
 
