@@ -41,7 +41,9 @@ def test_a_cloud_is_fitted_and_its_report_is_that_of_the_residual() -> None:
     points[:, 2] = 8.0 + 0.1 * points[:, 0] ** 2
     result = fit(patch(), [CloudTarget("cloud", itself, points)], Smoothing(second=1e-5))
     place = result.mesh.locate(points)
-    assert result.groups["cloud"].rms == pytest.approx(np.sqrt(np.mean(place.distance**2)), abs=2e-4)
+    assert result.groups["cloud"].rms == pytest.approx(
+        np.sqrt(np.mean(place.distance**2)), abs=2e-4
+    )
     assert place.distance.max() < 0.02
 
 

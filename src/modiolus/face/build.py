@@ -101,6 +101,7 @@ def build_head(
             "subject": "adult male",
             "source": "BodyParts3D, release 3.0 (skin: release 4.0)",
             "licence": "CC BY-SA 2.1 JP",
+            "licence_url": "https://creativecommons.org/licenses/by-sa/2.1/jp/",
             "attribution": ATTRIBUTION,
             "changes": "Hermite meshes fitted to the surfaces; eyeball of "
             f"{2 * EYE_RADIUS:g} mm; skin and muscles moved to make room for each other",
@@ -130,9 +131,7 @@ def quality_text(head: Head) -> str:
     return "\n".join(lines)
 
 
-def tissue_quality(
-    tissue: Tissue, sheet: Surface, deep: dict[str, DistanceGrid]
-) -> dict[str, Any]:
+def tissue_quality(tissue: Tissue, sheet: Surface, deep: dict[str, DistanceGrid]) -> dict[str, Any]:
     """Measure the tissue mesh: fit to the skin, shape of the elements, thickness.
 
     The skin's fit leaves out the margins of lips and lids, the wings and base of the nose and

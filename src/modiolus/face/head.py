@@ -32,6 +32,8 @@ FORMAT = 1
 _SHIPPED = files("modiolus.face") / "data" / "heads"
 #: Archives larger than this (bytes, unpacked) are not read.
 _LARGEST = 512 * 2**20
+#: What of `Head.about` goes into the LICENSE beside the data.
+_LICENCE_KEYS = ("licence", "licence_url", "attribution", "source", "changes")
 
 
 @dataclass(frozen=True)
@@ -129,10 +131,23 @@ class Head:
         return out
 
     def save(self, folder: Path) -> None:
-        """Write the head into an existing, empty folder."""
+        """Write the head into an existing, empty folder.
+
+        Beside the arrays and ``head.toml`` goes ``LICENSE``: the terms under which the data it
+        was made from may be passed on, and what was changed, as `about` has them.
+
+        Parameters
+        ----------
+        folder : Path
+
+        Raises
+        ------
+        OSError
+            The folder cannot be written.
+        """
         folder = Path(folder)
         extraction = self.tissue.extraction
-        tissue: dict[str, Any] = {
+        tissue: dict[str, NDArray[Any]] = {
             "parameters": self.tissue.parameters,
             "data": extraction.data,
             "indices": extraction.indices.astype(np.int32),
@@ -143,23 +158,32 @@ class Head:
         for name, (elements, axis, side) in self.sides.items():
             tissue[f"side/{name}"] = np.concatenate([[axis, side], elements]).astype(np.int32)
         for name, item in self.attachments.items():
-            tissue[f"attachment/{name}"] = np.column_stack(
-                [item.elements, item.xi, item.stiffness]
-            )
-        np.savez_compressed(folder / "tissue.npz", **tissue)
+            tissue[f"attachment/{name}"] = np.column_stack([item.elements, item.xi, item.stiffness])
+        _write_arrays(folder / "tissue.npz", tissue)
         muscles = {
             f"{name}/{key}": value
             for name, muscle in self.muscles.items()
             for key, value in muscle.arrays().items()
         }
-        np.savez_compressed(folder / "muscles.npz", **muscles)
+        _write_arrays(folder / "muscles.npz", muscles)
         deep = {
             f"{name}/{key}": value
             for name, surface in self.deep.items()
             for key, value in surface.distance.arrays().items()
         }
-        np.savez_compressed(folder / "deep.npz", **deep)
+        _write_arrays(folder / "deep.npz", deep)
         (folder / "head.toml").write_text(self._toml(), encoding="utf-8")
+        (folder / "LICENSE").write_text(self._licence(), encoding="utf-8")
+
+    def _licence(self) -> str:
+        about = {key: str(self.about.get(key, "not stated")) for key in _LICENCE_KEYS}
+        return (
+            f"The files of the head {self.name!r} are licensed under {about['licence']}:\n"
+            f"{about['licence_url']}\n\n"
+            f"Attribution: {about['attribution']}\n\n"
+            f"Source: {about['source']}\n"
+            f"Changes to it: {about['changes']}\n"
+        )
 
     def _toml(self) -> str:
         lines = [f"format = {FORMAT}", f"name = {json.dumps(self.name)}"]
@@ -310,12 +334,18 @@ def _read_toml(path: Path) -> dict[str, Any]:
     return table
 
 
+def _write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     damaged = f"{path}: cannot be read as arrays; it may be truncated, build or copy it anew"
     try:
         with zipfile.ZipFile(path) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > _LARGEST:
-                raise InputError(f"{path}: it unpacks to more than {_LARGEST >> 20} MiB; copy it anew")
+                raise InputError(
+                    f"{path}: it unpacks to more than {_LARGEST >> 20} MiB; copy it anew"
+                )
         with np.load(path, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
     except FileNotFoundError as error:

@@ -169,7 +169,7 @@ def part_normals(part: HermiteMesh, elements: NDArray[np.int64], xi: Array) -> A
     """Return unit normals of a surface part, (n, 3)."""
     tangents = part.jacobian(elements, xi)
     normal = np.cross(tangents[:, :, 0], tangents[:, :, 1])
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,7 @@ def differences(values: Array, axis: int, periodic: bool = False) -> Array:
     return np.moveaxis(out, 0, axis)
 
 
-def grid_connectivity(
-    counts: Sequence[int], periodic: Sequence[bool]
-) -> NDArray[np.int64]:
+def grid_connectivity(counts: Sequence[int], periodic: Sequence[bool]) -> NDArray[np.int64]:
     """Return the node of every corner, (n_elements, 2**dim); first direction fastest.
 
     ``counts`` are elements per direction; a periodic direction has as many nodes as

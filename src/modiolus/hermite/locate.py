@@ -43,7 +43,7 @@ class Location:
     inside: NDArray[np.bool_]
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def _evaluate(dim, coefficients, local, xi, x, tangents):  # type: ignore[no-untyped-def]
     """Position and tangents of one element at one point (written into x and tangents)."""
     h = np.empty((3, 2, 2))
@@ -77,7 +77,7 @@ def _evaluate(dim, coefficients, local, xi, x, tangents):  # type: ignore[no-unt
                     tangents[i, m] += slope * local[row, i]
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def _closest(dim, coefficients, local, point, start, xi):  # type: ignore[no-untyped-def]
     """Projected Gauss-Newton for the closest point of one element; returns its distance."""
     x = np.empty(3)
@@ -133,7 +133,7 @@ def _closest(dim, coefficients, local, point, start, xi):  # type: ignore[no-unt
     return np.sqrt(best)
 
 
-@njit(cache=True, parallel=True)  # type: ignore[misc]
+@njit(cache=True, parallel=True)
 def _closest_all(  # type: ignore[no-untyped-def]
     dim, coefficients, locals_, points, elements, starts, xi, distances, chosen
 ):
@@ -143,9 +143,7 @@ def _closest_all(  # type: ignore[no-untyped-def]
         for c in range(elements.shape[1]):
             if elements[p, c] < 0:
                 continue
-            d = _closest(
-                dim, coefficients, locals_[elements[p, c]], points[p], starts[p, c], trial
-            )
+            d = _closest(dim, coefficients, locals_[elements[p, c]], points[p], starts[p, c], trial)
             if d < best:
                 best = d
                 chosen[p] = elements[p, c]
@@ -158,7 +156,7 @@ def _closest_all(  # type: ignore[no-untyped-def]
 def locate(mesh: HermiteMesh, points: Array, candidates: int = 6) -> Location:
     """Find the closest point of ``mesh`` for each of ``points`` (n, 3).
 
-    The closest of a set of sample points a element start a projected Gauss-Newton
+    The closest of a set of sample points of each element start a projected Gauss-Newton
     search in ``candidates`` different elements at most.
     """
     dim = mesh.dim
@@ -183,8 +181,6 @@ def locate(mesh: HermiteMesh, points: Array, candidates: int = 6) -> Location:
     _closest_all(
         dim, COEFFICIENTS, mesh._local, points, hosts, xi[nearest], out_xi, distance, chosen
     )
-    if dim == 3:
-        inside = distance < TOLERANCE
-    else:
-        inside = ((out_xi > 0.0) & (out_xi < 1.0)).all(axis=1)
-    return Location(chosen, out_xi, distance, inside)
+    within = ((out_xi > 0.0) & (out_xi < 1.0)).all(axis=1)
+    inside = distance < TOLERANCE if dim == 3 else within
+    return Location(chosen, out_xi, distance, np.asarray(inside))

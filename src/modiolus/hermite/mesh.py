@@ -108,17 +108,20 @@ class HermiteMesh:
     ) -> Array:
         """Evaluate position, or a derivative of it, at points of elements; (n, 3)."""
         elements = np.asarray(elements, dtype=np.int64)
-        return np.einsum("na,nai->ni", basis(self.dim, xi, derivative), self._local[elements])
+        functions = basis(self.dim, xi, derivative)
+        return np.asarray(np.einsum("na,nai->ni", functions, self._local[elements]))
 
     def jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
         """Return the tangent vectors dx/dxi_k as columns, (n, 3, dim)."""
-        columns = [self.evaluate(elements, xi, unit) for unit in np.eye(self.dim, dtype=int)]
+        units = np.eye(self.dim, dtype=int).tolist()
+        columns = [self.evaluate(elements, xi, unit) for unit in units]
         return np.stack(columns, axis=2)
 
     def scaled_jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
         """Return the determinant of the normalised tangent vectors of a volume mesh, (n,)."""
         tangents = self.jacobian(elements, xi)
-        return np.linalg.det(tangents / np.linalg.norm(tangents, axis=1, keepdims=True))
+        unit = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
+        return np.asarray(np.linalg.det(unit))
 
     def gauss_points(self, n: int) -> tuple[IntArray, Array, Array]:
         """Return elements (q,), xi (q, dim) and unit-cell weights (q,) of a Gauss rule."""
@@ -140,7 +143,7 @@ class HermiteMesh:
     def measures(self, n: int = 4) -> Array:
         """Return the length, area or volume of every element, (n_elements,)."""
         rule = self.quadrature(n)
-        return rule.weights.reshape(self.n_elements, -1).sum(axis=1)
+        return np.asarray(rule.weights.reshape(self.n_elements, -1).sum(axis=1))
 
     def face(self, elements: ArrayLike, axis: int, side: int) -> HermiteMesh:
         """Return one side of some elements as a mesh of one dimension less.
