@@ -62,17 +62,23 @@ def build(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fit a head to an anatomy and write it into the folder DIR."""
+    """Fit a head to an anatomy and write it into the folder DIR.
+
+    Prints how well everything fits: skin, elements, thickness, muscles. The head is called what
+    the folder is called.
+    """
     from modiolus.face.build import build_head
 
     with whole_folder(out, marker="head.toml") as folder:
         with Progress(f"building {out.name}", quiet=quiet) as progress:
-            built, report = build_head(anatomy, progress.update)
+            built, table = build_head(anatomy, progress.update, name=out.absolute().name)
         built.save(folder)
-    record = {"head": str(out), "fit": report}
-    show(
-        record,
-        f"Head: {out}\nUse it with: modiolus simulate smile-closed --head {out}",
-        as_json,
-        quiet,
-    )
+    record = {
+        "head": built.name,
+        "elements": built.tissue.n_elements,
+        "muscles": list(built.muscles),
+        "quality": built.about["quality"],
+        "files": {"folder": str(out)},
+    }
+    text = f"{table}\n\nHead: {out}\nUse it with: modiolus simulate smile-closed --head {out}"
+    show(record, text, as_json, quiet)
