@@ -11,6 +11,8 @@ References
 
 from __future__ import annotations
 
+import logging
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -280,11 +282,16 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
     if path.suffix.lower() == ".ply" and not _is_whole_ply(path):
         raise InputError(damaged)
     try:
-        with pv.VtkErrorCatcher(raise_errors=True, send_to_logging=False):
+        # VTK's own messages go to the root log and as warnings; one line from here is enough.
+        with warnings.catch_warnings(), pv.VtkErrorCatcher(raise_errors=True):
+            warnings.simplefilter("ignore")
+            logging.disable(logging.ERROR)
             mesh = pv.read(path).triangulate()
         surface = Surface(mesh.points, mesh.regular_faces, name or path.stem)
     except (InputError, RuntimeError, ValueError, AttributeError) as error:
         raise InputError(damaged) from error
+    finally:
+        logging.disable(logging.NOTSET)
     if path.suffix.lower() == ".stl":
         merged, index = np.unique(surface.vertices, axis=0, return_inverse=True)
         surface = Surface(merged, index.ravel()[surface.faces], surface.name)

@@ -105,6 +105,7 @@ _SOURCES = {
         "below the tissue's own cut",
         spacing=0.8,
         lowest=1400.0,
+        medial=True,
     ),
     "frontalis": _Source(
         "sheet",
@@ -135,6 +136,7 @@ _SOURCES = {
         ((-1, 0, -1), (1, 0, 0.5), (0.4, 0, 1), (-1, 0, 0.35)),
         "from the maxilla, the lower edge and lateral end, to the septum, the upper medial edge",
         spacing=0.3,
+        medial=True,
     ),
     "orbicularis_oris": _Source(
         "ring",
