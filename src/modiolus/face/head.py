@@ -7,6 +7,7 @@ archives of plain arrays: ``tissue.npz``, ``muscles.npz`` and ``deep.npz``.
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import zipfile
 from collections.abc import Mapping
@@ -34,6 +35,15 @@ _SHIPPED = files("modiolus.face") / "data" / "heads"
 _LARGEST = 512 * 2**20
 #: What of `Head.about` goes into the LICENSE beside the data.
 _LICENCE_KEYS = ("licence", "licence_url", "attribution", "source", "changes")
+#: Without these sides and landmarks a head can be neither computed nor reported on.
+_SIDES = (
+    *("outer", "inner", "midplane", "ear", "neck", "scalp"),
+    *("lip_upper", "lip_lower", "lid_upper", "lid_lower"),
+)
+_LANDMARKS = (
+    *("mouth_corner", "upper_lip_mid", "lower_lip_mid", "inner_brow", "outer_brow"),
+    *("cheek", "ala", "chin", "upper_lid_mid", "lower_lid_mid"),
+)
 
 
 @dataclass(frozen=True)
@@ -224,7 +234,7 @@ class Head:
         deep = _grouped(_read_arrays(folder / "deep.npz"))
         try:
             extraction = sp.csr_matrix(
-                (tissue["data"], tissue["indices"], tissue["indptr"]),
+                (_finite(tissue["data"]), tissue["indices"], tissue["indptr"]),
                 shape=(len(tissue["indptr"]) - 1, len(tissue["parameters"])),
             )
             extraction.check_format(full_check=True)
@@ -234,26 +244,32 @@ class Head:
             for key, value in tissue.items():
                 kind, _, item = key.partition("/")
                 if kind == "side":
-                    elements = value[2:].astype(np.int64)
-                    _within(elements, mesh.n_elements)
-                    sides[item] = (elements, int(value[0]), int(value[1]))
+                    axis, side = int(value[0]), int(value[1])
+                    if axis not in (0, 1, 2) or side not in (0, 1):
+                        raise ValueError(f"side {item} is no side of an element")
+                    sides[item] = (_elements(value[2:], mesh), axis, side)
                 elif kind == "attachment":
-                    value = _finite(value)
-                    elements = value[:, 0].astype(np.int64)
-                    _within(elements, mesh.n_elements)
-                    attachments[item] = Attachment(item, elements, value[:, 1:4], value[:, 4])
-            landmarks = {
-                key: (int(row[0]), (float(row[1]), float(row[2]), float(row[3])))
-                for key, row in table["landmarks"].items()
-            }
-            _within(np.array([place[0] for place in landmarks.values()]), mesh.n_elements)
+                    if not (value[:, 4] >= 0.0).all():
+                        raise ValueError(f"stiffness of {item} is not from 0 up")
+                    attachments[item] = Attachment(
+                        item, _elements(value[:, 0], mesh), _shares(value[:, 1:4]), value[:, 4]
+                    )
+            landmarks = {}
+            for key, row in table["landmarks"].items():
+                element = int(_elements(np.array([row[0]]), mesh)[0])
+                a, b, c = _shares(np.array(row[1:])).tolist()
+                landmarks[key] = (element, (a, b, c))
+            _have("side", _SIDES, sides)
+            _have("landmark", _LANDMARKS, landmarks)
             fraction, firmness = (
-                _finite(tissue[key]).reshape(mesh.n_elements, 64)
+                _shares(tissue[key]).reshape(mesh.n_elements, 64)
                 for key in ("fraction", "firmness")
             )
             slack = {key: float(value) for key, value in table.get("slack", {}).items()}
+            if not muscles:
+                raise ValueError("there are no muscles")
             return cls(
-                name=str(table["name"]),
+                name=table["name"],
                 tissue=mesh,
                 sides=sides,
                 landmarks=landmarks,
@@ -268,7 +284,7 @@ class Head:
                     for key, arrays in deep.items()
                 },
                 attachments=attachments,
-                midplane=float(table["midplane"]),
+                midplane=float(_finite(np.array(table["midplane"]))),
                 about=dict(table.get("about", {})),
             )
         except InputError as error:
@@ -288,21 +304,40 @@ def head_names() -> tuple[str, ...]:
 
 
 def _with_slack(muscle: Muscle, slack: Mapping[str, float]) -> Muscle:
+    if not muscle.name.isidentifier():
+        raise ValueError(f"{muscle.name!r} is not a muscle's name")
+    if muscle.angles is not None:
+        _finite(muscle.angles)
     value = slack.get(muscle.name, muscle.slack)
     if not 0.5 <= value <= 3.0:
         raise ValueError(f"slack of {muscle.name} is {value}, not a stretch within 0.5 to 3")
     return replace(muscle, slack=value)
 
 
-def _finite(values: Array) -> Array:
+def _finite(values: NDArray[Any]) -> Array:
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         raise ValueError("a number is not finite")
     return values.astype(float)
 
 
-def _within(elements: NDArray[np.int64], count: int) -> None:
-    if len(elements) and (elements.min() < 0 or elements.max() >= count):
+def _shares(values: NDArray[Any]) -> Array:
+    values = _finite(values)
+    if values.size and (values.min() < -1e-6 or values.max() > 1.0 + 1e-6):
+        raise ValueError("a number that has to be within 0 to 1 is not")
+    return values
+
+
+def _elements(values: NDArray[Any], mesh: HermiteMesh) -> NDArray[np.int64]:
+    elements = _finite(values).astype(np.int64)
+    if (elements < 0).any() or (elements >= mesh.n_elements).any():
         raise ValueError("an element's number is out of range")
+    return elements
+
+
+def _have(what: str, names: tuple[str, ...], given: Mapping[str, object]) -> None:
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise ValueError(f"there is no {what} {missing[0]}")
 
 
 def _table(name: str, values: Mapping[str, Any]) -> list[str]:
@@ -331,6 +366,11 @@ def _read_toml(path: Path) -> dict[str, Any]:
     for key in ("name", "landmarks", "midplane"):
         if key not in table:
             raise InputError(f"{path}: it says nothing of {key!r}; build or copy the head anew")
+    # The name becomes that of a folder.
+    if not isinstance(table["name"], str) or not re.fullmatch(r"\w[\w.-]*", table["name"]):
+        raise InputError(
+            f"{path}: name {table['name']!r}; give it letters, digits, hyphens, dots or underscores"
+        )
     return table
 
 
