@@ -21,6 +21,7 @@ from .embed import (
     modiolus_share,
     muscle_fraction,
     origins,
+    wrap_lids,
 )
 from .head import Head, RigidSurface
 from .muscles import build_muscles, muscle_table
@@ -79,6 +80,8 @@ def build_head(
     tell(0.25, "muscles")
     muscles = build_muscles(anatomy)
     tell(0.75, "muscles into the tissue")
+    lids = "orbicularis_oculi_palpebral"
+    muscles[lids] = wrap_lids(muscles[lids])
     outer = boundary_surface(tissue.mesh, tissue.sides["outer"])
     inner = boundary_surface(tissue.mesh, tissue.sides["inner"])
     muscles = {key: bring_inside(muscle, outer, inner) for key, muscle in muscles.items()}

@@ -19,7 +19,7 @@ from ..hermite.basis import Array
 from ..hermite.tessellate import tessellate
 from .head import Attachment
 from .muscle import Muscle
-from .tissue import Side
+from .tissue import EYE_CENTRE, EYE_RADIUS, Side
 
 #: Distance that muscles keep from the outer and the inner surface of the tissue (mm).
 CLEARANCE = (0.35, 0.1)
@@ -79,8 +79,13 @@ def depth_below(surface: Surface, points: Array) -> tuple[Array, Array]:
     return depth, normal
 
 
+#: Centre and radius of the source's left eyeball (mm).
+SOURCE_EYE = ((27.1, -158.7, 1527.3), 15.5)
+
 #: Columns through a muscle's thickness that are moved: across, along and through an element.
 _COLUMNS = (5, 5, 3)
+#: Weights of the fit to the moved columns; the first with which the muscle does not fold is used.
+_SMOOTHINGS = (0.02, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 #: A column between surfaces too close for it is thinned to this share at most.
 _THINNEST = 0.5
 
@@ -119,8 +124,27 @@ def bring_inside(muscle: Muscle, outer: Surface, inner: Surface) -> Muscle:
     if np.abs(points - start).max() < 0.05:
         return muscle
     target = PointTarget("inside", elements, xi, points.reshape(-1, 3))
-    smoothing = Smoothing(first=2e-2, second=2e-2, relative=True)
-    return replace(muscle, mesh=fit(mesh, [target], smoothing, iterations=1).mesh)
+    for weight in _SMOOTHINGS:
+        smoothing = Smoothing(first=weight, second=weight, relative=True)
+        moved = fit(mesh, [target], smoothing, iterations=1).mesh
+        if np.linalg.det(moved.jacobian(elements, xi)).min() > 0.0:
+            break
+    return replace(muscle, mesh=moved)
+
+
+def wrap_lids(muscle: Muscle) -> Muscle:
+    """Lay the lid part of orbicularis oculi from the source's eyeball onto that of the head.
+
+    The source's ball is larger; the muscle keeps its height above the ball.
+    """
+    centre, radius = SOURCE_EYE
+
+    def onto(points: Array) -> Array:
+        away = points - np.array(centre)
+        distance = np.linalg.norm(away, axis=-1, keepdims=True)
+        return np.asarray(EYE_CENTRE + away * (distance - radius + EYE_RADIUS) / distance)
+
+    return muscle.transformed(onto)
 
 
 def _known(depth: Array, shape: tuple[int, ...], otherwise: float) -> Array:
