@@ -1,0 +1,1 @@
+"""The head: template, tissue, muscles, deep structures, expressions, and the shipped data."""
