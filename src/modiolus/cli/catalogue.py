@@ -13,7 +13,7 @@ from modiolus.cli.outputs import whole_folder
 
 #: Activation at which a muscle shows what it does, by its kind: a sheet or a ring has many times
 #: the cross-section of a strap.
-_ALONE = {"strap": 1.0, "sheet": 0.3, "ring": 0.3}
+ALONE = {"strap": 1.0, "sheet": 0.3, "ring": 0.3}
 
 
 @app.command(epilog="Example: modiolus catalogue --out out")
@@ -39,7 +39,7 @@ def catalogue(
         runs, states = [], []
         for muscle in chosen.muscles.values():
             began = time.perf_counter()
-            activation = _ALONE[muscle.kind]
+            activation = ALONE[muscle.kind]
             state = runner.solve(muscle.name, {muscle.name: activation})
             title = muscle.name.replace("_", " ")
             (folder / muscle.name).mkdir()

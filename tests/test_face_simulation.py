@@ -1,0 +1,230 @@
+"""The face moves as anatomy says, and the computation behind it is sound."""
+
+import json
+
+import numpy as np
+import pytest
+
+from modiolus.cli import main
+from modiolus.cli.catalogue import ALONE
+from modiolus.face.expression import Expression, expression_names, resolve
+from modiolus.face.head import Head
+from modiolus.face.muscles import MUSCLES
+from modiolus.mechanics import Continuation
+from modiolus.mechanics.face import face_problem
+
+#: Which way a landmark of the left half goes when a muscle contracts alone: +x lateral,
+#: +y backwards, +z up. Actions as in Standring (ed.), Gray's Anatomy, 42nd edition, chapter
+#: "Face and scalp", and as the action units of the Facial Action Coding System (Ekman, Friesen
+#: and Hager 2002) that it attributes to the muscle.
+ACTIONS = {
+    # Draws the angle of the mouth upwards and laterally (AU 12).
+    "zygomaticus_major": [("mouth_corner_left", "+z"), ("mouth_corner_left", "+x")],
+    # Elevates the upper lip and the nasolabial fold (AU 11).
+    "zygomaticus_minor": [("mouth_corner_left", "+z")],
+    # Elevates and everts the upper lip (AU 10).
+    "levator_labii_superioris": [("upper_lip_mid", "+z")],
+    # Raises the lip and dilates the nostril: its wing goes up (AU 9).
+    "levator_labii_superioris_alaeque_nasi": [("ala_left", "+z")],
+    # Raises the angle of the mouth (AU 13).
+    "levator_anguli_oris": [("mouth_corner_left", "+z")],
+    # Stretches the angle of the mouth laterally (AU 20).
+    "risorius": [("mouth_corner_left", "+x")],
+    # Draws the angle of the mouth back, against the teeth (AU 14).
+    "buccinator": [("mouth_corner_left", "+x"), ("mouth_corner_left", "+y")],
+    # Draws the angle of the mouth downwards (AU 15).
+    "depressor_anguli_oris": [("mouth_corner_left", "-z")],
+    # Draws the lower lip downwards (AU 16).
+    "depressor_labii_inferioris": [("lower_lip_mid", "-z")],
+    # Raises the base of the lower lip and the skin of the chin (AU 17).
+    "mentalis": [("chin", "+z")],
+    # Depresses the corner of the mouth through the modiolus (AU 21).
+    "platysma": [("mouth_corner_left", "-z")],
+    # Sphincter of the mouth: draws its corners together (AU 18).
+    "orbicularis_oris_upper": [("mouth_corner_left", "-x")],
+    "orbicularis_oris_lower": [("mouth_corner_left", "-x")],
+    # Draws the skin of forehead and cheek towards the medial angle of the orbit (AU 6).
+    "orbicularis_oculi_orbital": [("outer_brow_left", "-z"), ("cheek_left", "+z")],
+    # Closes the lids (AU 7): the lower one rises.
+    "orbicularis_oculi_palpebral": [("lower_lid_mid_left", "+z")],
+    # Raises the eyebrow: its inner part (AU 1), its outer part (AU 2).
+    "frontalis_medial": [("inner_brow_left", "+z")],
+    "frontalis_lateral": [("outer_brow_left", "+z")],
+    # Draws the eyebrow medially and downwards (AU 4).
+    "corrugator_supercilii": [("inner_brow_left", "-x"), ("inner_brow_left", "-z")],
+    # Draws down the medial angle of the eyebrow (AU 4).
+    "procerus": [("inner_brow_left", "-z")],
+    # Its transverse part compresses the nose: the wing goes towards the septum.
+    "nasalis": [("ala_left", "-x")],
+    # Draws the septum and with it the wing downwards.
+    "depressor_septi_nasi": [("ala_left", "-z")],
+}
+
+#: Fields of a run's record.
+FIELDS = {
+    *("expression", "head", "converged", "elements", "nodes", "unknowns", "steps"),
+    *("newton_iterations", "solve_s", "wall_s", "J_min", "J_max", "volume_change"),
+    *("max_penetration_mm", "activations", "landmarks", "files"),
+}
+
+
+@pytest.fixture(scope="module")
+def head():
+    return Head.load("taro")
+
+
+@pytest.fixture(scope="module")
+def solve(head):
+    """Solve for activations, each set once."""
+    problem, known = face_problem(head), {}
+
+    def state(activations):
+        key = tuple(sorted(activations.items()))
+        if key not in known:
+            known[key] = Continuation(problem).run(problem.load(activations))
+        return known[key]
+
+    return state
+
+
+def expression(head, name):
+    return resolve(Expression.shipped(name).activations, head.muscles)
+
+
+def moves(head, state):
+    """Displacement of every landmark (mm)."""
+    rest, moved = head.landmark_points(), head.landmark_points(state.parameters)
+    return {name: moved[name] - rest[name] for name in rest}
+
+
+def carry(state, points):
+    """Where points of the tissue have gone (mm)."""
+    place = state.reference.locate(points)
+    return points + (
+        state.mesh.evaluate(place.elements, place.xi)
+        - state.reference.evaluate(place.elements, place.xi)
+    )
+
+
+def outward(head, name):
+    """Unit normal of the skin at a landmark."""
+    element, xi = head.landmarks[name]
+    tangents = head.tissue.jacobian([element], [xi])[0]
+    normal = np.cross(tangents[:, 0], tangents[:, 1])
+    return normal / np.linalg.norm(normal)
+
+
+def assert_sound(state):
+    statistics = state.statistics
+    assert statistics.converged
+    assert statistics.J_min > 0.5 and statistics.J_max < 1.6
+    assert abs(statistics.volume_change) < 0.005
+    assert statistics.max_penetration_mm < 0.3
+    # No negative pivots beyond those of the pressures: a stable equilibrium.
+    assert statistics.wrong_pivots in (0, None)
+
+
+def assert_held(head, state, name):
+    """The bony end of a muscle stays where it is."""
+    if name not in head.attachments:
+        return
+    points, areas = head.muscles[name].end(0)
+    moved = areas @ (carry(state, points) - points) / areas.sum()
+    assert np.linalg.norm(moved) < 0.5
+
+
+def test_a_small_contraction_and_its_record(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(["simulate", "--activation", "zygomaticus_major=0.1", "--json"])
+    printed = capsys.readouterr()
+    assert left.value.code == 0, printed.err
+    record = json.loads(printed.out)
+    assert set(record) == FIELDS
+    assert record["expression"] == "custom" and record["head"] == "taro"
+    assert record["converged"] is True
+    assert record["activations"] == {"zygomaticus_major": 0.1}
+    assert 200 <= record["elements"] <= 280
+    assert record["elements"] < record["nodes"] < record["unknowns"]
+    assert 0.0 < record["solve_s"] < record["wall_s"]
+    assert 0.5 < record["J_min"] <= record["J_max"] < 1.6
+    assert abs(record["volume_change"]) < 0.005
+    assert 0.0 <= record["max_penetration_mm"] < 0.3
+    x, _, z = record["landmarks"]["mouth_corner_left"]["displacement"]
+    assert x > 0.1 and z > 0.1
+    for field in ("rest", "displacement"):
+        left_side = record["landmarks"]["mouth_corner_left"][field]
+        right_side = record["landmarks"]["mouth_corner_right"][field]
+        assert left_side[1:] == right_side[1:] and left_side[0] > right_side[0]
+    begin = {"picture": b"\x89PNG", "model": b"glTF", "tissue": b"<?xml", "report": b"{"}
+    assert set(record["files"]) == set(begin)
+    for kind, path in record["files"].items():
+        assert (tmp_path / path).read_bytes().startswith(begin[kind]), kind
+    assert json.loads((tmp_path / record["files"]["report"]).read_text()) == record
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["custom"]
+
+
+def test_every_muscle_has_its_action(head):
+    assert set(ACTIONS) == set(MUSCLES) == set(head.muscles)
+    landmarks = head.landmark_points()
+    assert all(landmark in landmarks for table in ACTIONS.values() for landmark, _ in table)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", expression_names())
+def test_expressions_are_sound(head, solve, name):
+    activations = expression(head, name)
+    state = solve(activations)
+    assert_sound(state)
+    assert state.activations == pytest.approx(activations)
+    for muscle in activations:
+        assert_held(head, state, muscle)
+
+
+@pytest.mark.slow
+def test_smile_closed_lifts_the_corners_and_bulges_the_cheeks(head, solve):
+    state = solve(expression(head, "smile-closed"))
+    moved = moves(head, state)
+    corner = moved["mouth_corner_left"]
+    assert np.linalg.norm(corner) >= 5.0
+    assert corner[0] > 0.0 and corner[2] > 0.0
+    assert moved["cheek_left"] @ outward(head, "cheek") > 0.0
+    muscle = head.muscles["zygomaticus_major"]
+    ratio = muscle.span(lambda points: carry(state, points)) / muscle.span()
+    assert 0.80 <= ratio <= 0.95
+
+
+@pytest.mark.slow
+def test_smile_open_parts_the_lips(head, solve):
+    moved = moves(head, solve(expression(head, "smile-open")))
+    corner = moved["mouth_corner_left"]
+    assert corner[0] > 0.0 and corner[2] > 0.0
+    assert moved["upper_lip_mid"][2] - moved["lower_lip_mid"][2] >= 4.0
+
+
+@pytest.mark.slow
+def test_sad_lowers_the_corners_and_raises_the_inner_brow(head, solve):
+    moved = moves(head, solve(expression(head, "sad")))
+    assert moved["mouth_corner_left"][2] <= -2.0
+    assert moved["inner_brow_left"][2] >= 1.0
+
+
+@pytest.mark.slow
+def test_terror_stretches_the_mouth_and_raises_the_brows(head, solve):
+    moved = moves(head, solve(expression(head, "terror")))
+    corner = moved["mouth_corner_left"]
+    assert corner[0] > 0.0 and corner[2] < 0.0
+    assert moved["lower_lip_mid"][2] < 0.0
+    assert moved["inner_brow_left"][2] > 0.0 and moved["outer_brow_left"][2] > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MUSCLES)
+def test_a_muscle_alone_does_what_anatomy_says(head, solve, name):
+    state = solve({name: ALONE[head.muscles[name].kind]})
+    assert_sound(state)
+    assert_held(head, state, name)
+    moved = moves(head, state)
+    for landmark, (sign, axis) in ACTIONS[name]:
+        along = float(f"{sign}1") * moved[landmark]["xyz".index(axis)]
+        assert along > 0.1, f"{landmark} {sign}{axis}: {along:.2f} mm"
