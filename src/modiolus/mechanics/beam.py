@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
+from ..face.muscle import Muscle
 from ..hermite import HermiteMesh, gauss, grid
 from .constraints import clamp
 from .continuation import Continuation, Report
@@ -65,6 +66,13 @@ def slab_mesh() -> HermiteMesh:
     return grid(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
 
 
+def slab(angle: float) -> Muscle:
+    """Return the slab with its fibres at an angle in degrees, as Euler angles of its nodes."""
+    mesh = slab_mesh()
+    angles = np.tile([np.radians(angle), 0.0, 0.0], (mesh.n_params // 8, 1))
+    return Muscle("slab", mesh, "sheet", angles)
+
+
 def fibre_direction(angle: float) -> Array:
     """Return the unit fibre direction (3,) for an angle in degrees."""
     radians = np.radians(angle)
@@ -92,14 +100,13 @@ def bend_beam(angle: float, activation: float = 0.1, report: Report | None = Non
     """
     if not -90.0 <= angle <= 90.0:
         raise InputError(f"angle: {angle} is not within -90..90 degrees; mend it")
-    mesh, slab = beam_mesh(), slab_mesh()
-    rule = slab.quadrature(3)
-    place = mesh.locate(slab.evaluate(rule.elements, rule.xi))
+    mesh, rule = beam_mesh(), slab(angle).quadrature()
+    place = mesh.locate(rule.points)
     quadrature = FibreQuadrature(
         place.elements,
         place.xi,
         rule.weights,
-        np.tile(fibre_direction(angle), (len(rule.weights), 1)),
+        rule.directions,
         np.zeros(len(rule.weights), dtype=np.int64),
     )
     points = mesh.evaluate(*Problem.gauss_points(mesh))
