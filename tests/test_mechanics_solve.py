@@ -230,8 +230,8 @@ def test_beam_with_straight_fibres_bends_towards_the_slab_and_does_not_twist(bea
 
 
 def test_beam_with_oblique_fibres_twists(beams):
-    # Oblique fibres shear the upper side towards +y at the root and -y at the tip: a
-    # right-handed turn of the tip about +x.
+    # Shortening from +x towards +y shears the upper side, which goes to -y on the way to the
+    # tip: a right-handed turn of the tip about +x.
     assert beams[36.0].twist > 10.0
     assert beams[60.0].twist > 10.0
     assert beams[0.0].bend > beams[36.0].bend > beams[60.0].bend
