@@ -33,6 +33,8 @@ class Settings:
     ----------
     tolerance : float
         Root mean square of the displacement's correction in mm at which a step ends.
+    passing : float
+        The same for the steps before the last, whose only use is to begin the next one.
     first_step, least_step : float
         Fractions of the load.
     max_steps : int
@@ -46,11 +48,12 @@ class Settings:
         it leaves out what can make contacts and fibres unstable.
     """
 
-    tolerance: float = 1e-4
+    tolerance: float = 5e-4
+    passing: float = 1e-2
     first_step: float = 0.06
     least_step: float = 2e-3
     max_steps: int = 80
-    max_iterations: int = 12
+    max_iterations: int = 18
     least_ratio: float = 0.05
     near: float = 1e-3
 
@@ -129,7 +132,10 @@ class Continuation:
                     self._trouble = f"{steps} steps were not enough"
                     raise _Rejected
                 steps += 1
-                state = self._advance(start.towards(load, target))
+                state = self._advance(
+                    start.towards(load, target),
+                    settings.tolerance if target == 1.0 else settings.passing,
+                )
             except _Rejected:
                 step = 0.3 * (target - reached)
                 self._fresh = False
@@ -204,7 +210,7 @@ class Continuation:
             if factor < 0.1:
                 self._reject("the prediction crushes the tissue", evaluation)
 
-    def _advance(self, load: Load) -> State:
+    def _advance(self, load: Load, tolerance: float) -> State:
         """Return the equilibrium at ``load``, or reject the step."""
         problem, settings = self.problem, self.settings
         parameters, pressure = self._predict(load)
@@ -220,23 +226,23 @@ class Continuation:
                     change = -self.solver.solve(evaluation.residual)
                     size = problem.size(change)
                     self._iterations += 1
-                    found = self._search(current, change, size, load)
+                    found = self._search(current, change, size, load, tolerance)
                     if found is not None:
                         break
                 if not convex:
                     convex = True
                     self._factorise(parameters, pressure, load, convex=True, damping=damping)
                     continue
-                damping = max(10.0 * damping, 0.01)
+                damping = max(10.0 * damping, 0.1)
                 if damping > 20.0:
                     self._reject("no damping makes the corrections descend", evaluation)
                 self._refactorise(damping)
-            damping = 0.0 if damping < 0.05 else 0.1 * damping
+            damping = 0.0 if damping < 0.5 else 0.1 * damping
             parameters, pressure, evaluation, following, full = found
             after = problem.size(following)
             convex = after > settings.near
             # Go on with these factors while that contracts well.
-            while full and damping == 0.0 and after < max(0.4 * size, settings.tolerance):
+            while full and damping == 0.0 and after < max(0.4 * size, tolerance):
                 current = replace(self.state, parameters=parameters, pressure=pressure)
                 tried = problem.add(current, following)
                 trial = problem.evaluate(*tried, load)
@@ -245,7 +251,7 @@ class Continuation:
                 parameters, pressure = tried
                 evaluation = trial
                 self._iterations += 1
-                if after < settings.tolerance:
+                if after < tolerance:
                     return self._converged(parameters, pressure, load, evaluation)
                 size = after
                 following = -self.solver.solve(evaluation.residual)
@@ -254,7 +260,7 @@ class Continuation:
         raise AssertionError
 
     def _search(
-        self, current: State, change: Array, size: float, load: Load
+        self, current: State, change: Array, size: float, load: Load, tolerance: float
     ) -> tuple[Array, Array, Evaluation, Array, bool] | None:
         """Return the first trial along ``change`` that neither crushes nor diverges.
 
@@ -268,7 +274,7 @@ class Continuation:
             if evaluation.volume_ratio.min() > self.settings.least_ratio:
                 following = -self.solver.solve(evaluation.residual)
                 after = self.problem.size(following)
-                if after <= max(3.0 * size, self.settings.tolerance):
+                if after <= max(3.0 * size, tolerance):
                     return parameters, pressure, evaluation, following, factor == 1.0
             factor *= 0.5
         return None
