@@ -35,8 +35,6 @@ class FaceSettings:
         Fraction of that penalty with which tissue that touches bone resists lift-off.
     reach : float
         Tissue within this distance (mm) of bone at rest slides on it.
-    foundation : float
-        Stiffness (kPa/mm) with which the cut edges are held beyond being clamped.
     """
 
     muscle: str = "wu2013"
