@@ -15,6 +15,7 @@ from ..hermite.basis import Array
 from .embed import (
     boundary_surface,
     bring_inside,
+    fasciae,
     inside_fraction,
     ligaments,
     modiolus_centre,
@@ -78,10 +79,10 @@ def build_head(
     skin = anatomy.surface("skin")
     tissue = build_tissue(skin, deep)
     tell(0.25, "muscles")
-    muscles = build_muscles(anatomy)
+    fitted = build_muscles(anatomy)
     tell(0.75, "muscles into the tissue")
     lids = "orbicularis_oculi_palpebral"
-    muscles[lids] = wrap_lids(muscles[lids])
+    muscles = {**fitted, lids: wrap_lids(fitted[lids])}
     outer = boundary_surface(tissue.mesh, tissue.sides["outer"])
     inner = boundary_surface(tissue.mesh, tissue.sides["inner"])
     muscles = {key: bring_inside(muscle, outer, inner) for key, muscle in muscles.items()}
@@ -90,6 +91,7 @@ def build_head(
     corner = tissue.mesh.evaluate([element], [(*xi[:2], 0.5)])[0]
     attachments = origins(tissue.mesh, muscles)
     attachments.update(ligaments(tissue.mesh, tissue.sides["inner"], corner, deep))
+    attachments.update(fasciae(tissue.mesh, tissue.sides["inner"]))
     head = Head(
         name=name,
         tissue=tissue.mesh,
@@ -117,7 +119,7 @@ def build_head(
     }
     head.about["quality"]["inside"] = share
     tell(0.95, "quality of the muscles")
-    table = quality_text(head) + "\n\n" + muscle_table(muscles, anatomy)
+    table = quality_text(head) + "\n\n" + muscle_table(fitted, anatomy)
     tell(1.0, "done")
     return head, table
 

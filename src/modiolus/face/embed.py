@@ -19,37 +19,37 @@ from ..hermite.basis import Array
 from ..hermite.tessellate import tessellate
 from .head import Attachment
 from .muscle import Muscle
+from .template import COLUMNS
 from .tissue import EYE_CENTRE, EYE_RADIUS, Side
 
 #: Distance that muscles keep from the outer and the inner surface of the tissue (mm).
 CLEARANCE = (0.35, 0.1)
 
-#: Muscles whose first eighth holds to bone or fascia, with the stiffness of that hold (mN/mm).
-#: Frontalis comes from the galea and platysma from the fascia of the neck, which the cuts of
-#: the mesh hold; the rings have no bony end but for the inner corner of the eye.
-ORIGINS: dict[str, float] = {
-    "zygomaticus_major": 2e4,
-    "zygomaticus_minor": 2e4,
-    "levator_labii_superioris": 2e4,
-    "levator_labii_superioris_alaeque_nasi": 2e4,
-    "levator_anguli_oris": 2e4,
-    "risorius": 1e4,
-    "buccinator": 2e4,
-    "depressor_anguli_oris": 2e4,
-    "depressor_labii_inferioris": 2e4,
-    "mentalis": 2e4,
-    "corrugator_supercilii": 2e4,
-    "procerus": 2e4,
-    "nasalis": 2e4,
-    "depressor_septi_nasi": 2e4,
+#: Muscles that hold to bone or fascia: the stiffness of that hold (mN/mm), and the share of the
+#: length, from the origin, that is held. Frontalis comes from the galea and platysma from the
+#: fascia of the neck, which the cuts of the mesh hold; the rings have no bony end.
+ORIGINS: dict[str, tuple[float, float]] = {
+    "zygomaticus_major": (3e4, 0.12),
+    "zygomaticus_minor": (2e4, 0.12),
+    "levator_labii_superioris": (2e4, 0.12),
+    "levator_labii_superioris_alaeque_nasi": (2e4, 0.12),
+    "levator_anguli_oris": (2e4, 0.12),
+    "risorius": (2e4, 0.12),
+    # Its hind end lies behind masseter, out of the tissue.
+    "buccinator": (1e5, 0.3),
+    "depressor_anguli_oris": (2e4, 0.12),
+    "depressor_labii_inferioris": (3e4, 0.12),
+    "mentalis": (2e4, 0.12),
+    "corrugator_supercilii": (2e4, 0.12),
+    "procerus": (2e4, 0.12),
+    "nasalis": (2e4, 0.12),
+    "depressor_septi_nasi": (2e4, 0.12),
 }
-#: Share of a muscle's length, from its origin, that is held.
-HELD = 0.12
 
-#: Muscles that end at the modiolus.
+#: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
+#: above it.
 MODIOLAR = (
     "zygomaticus_major",
-    "levator_anguli_oris",
     "depressor_anguli_oris",
     "risorius",
     "buccinator",
@@ -206,10 +206,10 @@ def modiolus_centre(muscles: Mapping[str, Muscle], corner: Array) -> Array:
 def origins(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attachment]:
     """Return the attachments of the muscles' bony ends."""
     out: dict[str, Attachment] = {}
-    for name, stiffness in ORIGINS.items():
+    for name, (stiffness, share) in ORIGINS.items():
         if name not in muscles:
             continue
-        points, along = muscles[name].end_points(HELD)
+        points, along = muscles[name].end_points(share)
         place = mesh.locate(points)
         near = place.distance < 1.0
         if not near.any():
@@ -236,6 +236,29 @@ SIZE = 0.87
 LIGAMENT_STIFFNESS, LIGAMENT_RADIUS = 300.0, 5.0
 #: The tragus, in front of the ear's canal (mm).
 TRAGUS = (66.0, -107.0, 1514.0)
+
+
+#: Deep fasciae over what the head has no surface for: rows and columns of the template, and the
+#: stiffness (kPa/mm) with which the inner surface is tied to them. Below the jaw it is the
+#: investing fascia of the neck's muscles, beside the forehead that of temporalis.
+FASCIAE: dict[str, tuple[tuple[int, int], tuple[int, int], float]] = {
+    "deep_cervical_fascia": ((0, 3), (0, COLUMNS), 2.0),
+    "temporal_fascia": ((13, 20), (8, COLUMNS), 1.0),
+}
+
+
+def fasciae(mesh: HermiteMesh, inner: Side) -> dict[str, Attachment]:
+    """Return the deep fasciae as springs on the inner surface."""
+    every, axis, side = inner
+    out: dict[str, Attachment] = {}
+    for name, (rows, columns, stiffness) in FASCIAE.items():
+        row, column = np.divmod(every, COLUMNS)
+        part = (row >= rows[0]) & (row < rows[1]) & (column >= columns[0]) & (column < columns[1])
+        face = mesh.face(every[part], axis, side)
+        rule = face.quadrature(2)
+        place = np.insert(rule.xi, axis, float(side), axis=1)
+        out[name] = Attachment(name, every[part][rule.elements], place, stiffness * rule.weights)
+    return out
 
 
 def ligaments(
