@@ -342,8 +342,8 @@ def test_spoilt_deep_structures_are_refused(folder, key, spoil):
         ("mouth_corner = [", "mouth_corner = [1, 0.0, 7.0, 0.0] #", []),
         ("mouth_corner = [", "mouth_corner = [1] #", []),
         ("mouth_corner = [", "mouth_koala = [", ["mouth_corner"]),
-        ("zygomaticus_major = 1.0\n", "zygomaticus_major = nan\n", ["zygomaticus_major"]),
-        ("zygomaticus_major = 1.0\n", "zygomaticus_major = -1.0\n", ["zygomaticus_major"]),
+        ("[slack]\nzygomaticus_major = ", "[slack]\nzygomaticus_major = nan #", ["stretch"]),
+        ("[slack]\nzygomaticus_major = ", "[slack]\nzygomaticus_major = -1.0 #", ["stretch"]),
     ],
 )
 def test_a_spoilt_table_is_refused(folder, old, new, words):
