@@ -22,12 +22,16 @@ from .muscle import Muscle
 from .template import COLUMNS
 from .tissue import EYE_CENTRE, EYE_RADIUS, Side
 
+#: Stretch from which passive fibres are taut. The muscles of a resting face are not: a mouth
+#: that moves by 10 mm stretches its antagonists by a fifth before they resist.
+SLACK = 1.15
+
 #: Distance that muscles keep from the outer and the inner surface of the tissue (mm).
 CLEARANCE = (0.35, 0.1)
 
 #: Muscles that hold to bone or fascia: the stiffness of that hold (mN/mm), and the share of the
-#: length, from the origin, that is held. Frontalis comes from the galea and platysma from the
-#: fascia of the neck, which the cuts of the mesh hold; the rings have no bony end.
+#: length, from the origin, that is held. Frontalis comes from the galea, which occipitalis holds
+#: back; platysma from the fascia of the neck, which the cut holds; the rings have no bony end.
 ORIGINS: dict[str, tuple[float, float]] = {
     "zygomaticus_major": (3e4, 0.12),
     "zygomaticus_minor": (2e4, 0.12),
@@ -40,6 +44,8 @@ ORIGINS: dict[str, tuple[float, float]] = {
     "depressor_anguli_oris": (2e4, 0.12),
     "depressor_labii_inferioris": (3e4, 0.12),
     "mentalis": (2e4, 0.12),
+    "frontalis_medial": (1e5, 0.12),
+    "frontalis_lateral": (1e5, 0.12),
     "corrugator_supercilii": (2e4, 0.12),
     "procerus": (2e4, 0.12),
     "nasalis": (2e4, 0.12),
@@ -122,14 +128,14 @@ def bring_inside(muscle: Muscle, outer: Surface, inner: Surface) -> Muscle:
         middle = points.mean(axis=1, keepdims=True)
         points = middle + factor[:, None, None] * (points - middle)
     if np.abs(points - start).max() < 0.05:
-        return muscle
+        return replace(muscle, slack=SLACK)
     target = PointTarget("inside", elements, xi, points.reshape(-1, 3))
     for weight in _SMOOTHINGS:
         smoothing = Smoothing(first=weight, second=weight, relative=True)
         moved = fit(mesh, [target], smoothing, iterations=1).mesh
         if np.linalg.det(moved.jacobian(elements, xi)).min() > 0.0:
             break
-    return replace(muscle, mesh=moved)
+    return replace(muscle, mesh=moved, slack=SLACK)
 
 
 def wrap_lids(muscle: Muscle) -> Muscle:

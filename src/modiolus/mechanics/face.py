@@ -41,7 +41,7 @@ class FaceSettings:
     sigma_max: float = 300.0
     kappa: float = 50.0
     modiolus: float = 30.0
-    contact: float = 150.0
+    contact: float = 250.0
     slide: float = 0.05
     reach: float = 2.0
 
