@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from modiolus.anatomy import MIDPLANE, BodyParts3D, Surface
 from modiolus.anatomy.sheet import clean_skin, ring, strip
 from modiolus.errors import InputError, SolveError
-from modiolus.face.muscles import GROUPS, MUSCLES, build_muscles, muscle_quality, muscle_table
+from modiolus.face.expression import GROUPS
+from modiolus.face.muscles import MUSCLES, build_muscles, muscle_quality, muscle_table
 from modiolus.hermite import grid
 from modiolus.hermite.tessellate import tessellate
 

@@ -23,7 +23,7 @@ from modiolus.hermite import HermiteMesh, grid
 from modiolus.hermite.tessellate import tessellate
 from modiolus.progress import Progress
 
-__all__ = ["GROUPS", "MUSCLES", "MuscleQuality", "build_muscles", "muscle_quality", "muscle_table"]
+__all__ = ["MUSCLES", "MuscleQuality", "build_muscles", "muscle_quality", "muscle_table"]
 
 Directions = Sequence[tuple[float, float, float]]
 
@@ -194,13 +194,6 @@ _RECIPES = {
 
 #: The muscles of one side, by name.
 MUSCLES = tuple(_RECIPES)
-
-#: Names that stand for several muscles.
-GROUPS = {
-    "orbicularis_oris": ("orbicularis_oris_upper", "orbicularis_oris_lower"),
-    "orbicularis_oculi": ("orbicularis_oculi_orbital", "orbicularis_oculi_palpebral"),
-    "frontalis": ("frontalis_medial", "frontalis_lateral"),
-}
 
 
 def build_muscles(
