@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -63,6 +64,9 @@ class RigidContact(PointTerm):
     onset : float
         Depth in mm over which the stiffness grows to ε.
     name : str
+    motion : callable, optional
+        Rotation (3, 3) and shift (3,) in mm that take the body from rest to its place under a
+        load; without it the body stands still.
     """
 
     def __init__(
@@ -76,6 +80,7 @@ class RigidContact(PointTerm):
         slide: ArrayLike | None = None,
         onset: float = 0.1,
         name: str = "contact",
+        motion: Callable[[Load], tuple[Array, Array]] | None = None,
     ) -> None:
         order = by_host(elements)
         elements = np.asarray(elements)[order]
@@ -84,6 +89,7 @@ class RigidContact(PointTerm):
         if not stiffness >= 0.0:
             raise InputError(f"{name}: stiffness {stiffness} is not a number from 0 up; mend it")
         self.surface = surface
+        self.motion = motion
         self.stiffness = stiffness * np.asarray(areas, dtype=float)[order]
         fraction = np.zeros(len(order)) if slide is None else np.asarray(slide, dtype=float)[order]
         self.slide_stiffness = fraction * self.stiffness
@@ -91,9 +97,20 @@ class RigidContact(PointTerm):
         self.rest = surface.sample(np.asarray(self.functions @ mesh.parameters))[0]
         self.least = np.minimum(self.rest, 0.0)
 
+    def sample(self, vectors: Array, load: Load) -> tuple[Array, Array, Array]:
+        """Return the body's distance (n,), gradient and Hessian where a load has taken it.
+
+        Points are taken back to the body at rest, derivatives turned with it.
+        """
+        if self.motion is None:
+            return self.surface.sample(vectors)
+        turn, shift = self.motion(load)
+        distance, gradient, hessian = self.surface.sample((vectors - shift) @ turn)
+        return distance, gradient @ turn.T, turn @ hessian @ turn.T
+
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate the penalty; the stiffness holds the curvature of the body's surface."""
-        distance, gradient, hessian = self.surface.sample(vectors)
+        distance, gradient, hessian = self.sample(vectors, load)
         energies, slope, bend = penalty(self.least - distance, self.onset)
         moved = distance - self.rest
         energies = self.stiffness * energies + 0.5 * self.slide_stiffness * moved**2
@@ -108,9 +125,9 @@ class RigidContact(PointTerm):
         )
         return Response(energies, slope[:, None] * gradient, stiffness)
 
-    def penetration(self, vectors: Array) -> float:
+    def penetration(self, vectors: Array, load: Load | None = None) -> float:
         """Return the greatest depth below the body's surface beyond that at rest, in mm."""
-        distance, _, _ = self.surface.sample(vectors)
+        distance, _, _ = self.sample(vectors, Load() if load is None else load)
         return float(np.maximum(self.least - distance, 0.0).max(initial=0.0))
 
 
@@ -208,7 +225,7 @@ class PairContact(PointTerm):
         stiffness = np.stack([bend * n[:, i] * n[:, j] for i, j in PAIRS], axis=1)
         return Response(energies, -slope[:, None] * n, stiffness)
 
-    def penetration(self, vectors: Array) -> float:
+    def penetration(self, vectors: Array, load: Load | None = None) -> float:
         """Return the greatest overlap beyond that at rest, in mm."""
         gap = (vectors * self.normals).sum(axis=1)
         return float(np.maximum(self.least - gap, 0.0).max(initial=0.0))

@@ -285,7 +285,7 @@ class Continuation:
     ) -> State:
         wrong = None if self.solver.negative_pivots is None else self._wrong_pivots()
         statistics = replace(
-            self.problem.check(parameters, evaluation.volume_ratio), wrong_pivots=wrong
+            self.problem.check(parameters, load, evaluation.volume_ratio), wrong_pivots=wrong
         )
         return replace(
             self.state, parameters=parameters, pressure=pressure, load=load, statistics=statistics

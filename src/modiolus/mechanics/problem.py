@@ -369,20 +369,23 @@ class Problem:
         for term in self.terms:
             term.update(parameters)
 
-    def penetration(self, parameters: Array) -> float:
+    def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest interpenetration of any contact in mm."""
         return max(
-            (term.penetration(np.asarray(term.functions @ parameters)) for term in self.terms),
+            (
+                term.penetration(np.asarray(term.functions @ parameters), load)
+                for term in self.terms
+            ),
             default=0.0,
         )
 
-    def check(self, parameters: Array, volume_ratio: Array) -> Statistics:
+    def check(self, parameters: Array, load: Load, volume_ratio: Array) -> Statistics:
         """Return the figures that describe a state rather than the way to it."""
         return Statistics(
             J_min=float(volume_ratio.min()),
             J_max=float(volume_ratio.max()),
             volume_change=float((self.weights * volume_ratio).sum() / self.weights.sum() - 1.0),
-            max_penetration_mm=self.penetration(parameters),
+            max_penetration_mm=self.penetration(parameters, load),
         )
 
     def where(self, element: int) -> str:

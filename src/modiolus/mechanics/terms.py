@@ -9,7 +9,7 @@ stiffness ``∂²e/∂v²``; the element arrays follow from these alone.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,10 +35,13 @@ class Load:
         0..1 by muscle; muscles that are not named rest.
     prescribed : (n_params, 3) array, optional
         Displacement of the fixed parameters in mm; zero by default.
+    jaw : float
+        Angle in radians by which the jaw is open.
     """
 
     activations: Mapping[str, float] = field(default_factory=dict)
     prescribed: Array | None = None
+    jaw: float = 0.0
 
     def towards(self, target: Load, fraction: float) -> Load:
         """Return the load a fraction of the way to ``target``."""
@@ -48,11 +51,12 @@ class Load:
             + fraction * target.activations.get(name, 0.0)
             for name in sorted(names)
         }
+        jaw = (1.0 - fraction) * self.jaw + fraction * target.jaw
         if self.prescribed is None and target.prescribed is None:
-            return Load(activations)
+            return Load(activations, jaw=jaw)
         start = 0.0 if self.prescribed is None else self.prescribed
         end = 0.0 if target.prescribed is None else target.prescribed
-        return Load(activations, np.asarray((1.0 - fraction) * start + fraction * end))
+        return Load(activations, np.asarray((1.0 - fraction) * start + fraction * end), jaw)
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,7 @@ class PointTerm(ABC):
     def update(self, parameters: Array) -> None:  # noqa: B027
         """Refresh what is kept fixed within a load step from converged parameters."""
 
-    def penetration(self, vectors: Array) -> float:
+    def penetration(self, vectors: Array, load: Load | None = None) -> float:
         """Return the greatest depth of interpenetration in mm (0 where it has no meaning)."""
         return 0.0
 
@@ -243,6 +247,8 @@ class Springs(PointTerm):
     stiffness : (n,) array or float
         Of each point, in mN/mm.
     name : str
+    carry : callable, optional
+        Takes the places (n, 3) of the anchors at rest and a load to where the load takes them.
     """
 
     def __init__(
@@ -252,6 +258,7 @@ class Springs(PointTerm):
         xi: ArrayLike,
         stiffness: ArrayLike,
         name: str = "springs",
+        carry: Callable[[Array, Load], Array] | None = None,
     ) -> None:
         order = by_host(elements)
         elements = np.asarray(elements)[order]
@@ -261,10 +268,11 @@ class Springs(PointTerm):
         if not (self.stiffness >= 0.0).all():
             raise InputError(f"{name}: a stiffness is negative or NaN; give values from 0 up")
         self.rest = np.asarray(self.functions @ mesh.parameters)
+        self.carry = carry
 
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
-        """Evaluate ``k/2 |x - X|²``."""
-        moved = vectors - self.rest
+        """Evaluate ``k/2 |x - X|²``, with X where the load has taken the anchor."""
+        moved = vectors - (self.rest if self.carry is None else self.carry(self.rest, load))
         k = self.stiffness
         zero = np.zeros_like(k)
         return Response(
