@@ -17,7 +17,6 @@ from modiolus.mechanics import (
     Settings,
     Springs,
     clamp,
-    face_parameters,
     face_points,
     solve,
 )
@@ -41,7 +40,7 @@ def cube_with_fibres(activation_law=None, c10=2.0):
     rule = FibreQuadrature(elements, xi, weights, directions, np.zeros(len(elements), dtype=int))
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
     for axis in range(3):
-        within, across = face_parameters(mesh, [0], axis, 0)
+        within, across = mesh.face_parameters([0], axis, 0)
         fixed[within, axis] = True
         fixed[np.ix_(across, [k for k in range(3) if k != axis])] = True
     return Problem(
@@ -67,7 +66,7 @@ def test_patch_of_uneven_elements_stretches_evenly(amount, tolerance):
     elements = np.arange(8)
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
     for axis, side in ((0, 0), (1, 0), (2, 0), (0, 1)):
-        held, _ = face_parameters(mesh, elements[(elements >> axis) & 1 == side], axis, side)
+        held, _ = mesh.face_parameters(elements[(elements >> axis) & 1 == side], axis, side)
         fixed[held, axis] = True
     prescribed = np.where(fixed, mesh.parameters * (stretch - 1.0), 0.0)
     problem = Problem(mesh, [2.0, 1.0, 0.0], fixed=fixed)

@@ -163,6 +163,37 @@ class HermiteMesh:
         rows = np.asarray(elements, dtype=np.int64)[:, None] * 4**self.dim + picked
         return HermiteMesh(self.dim - 1, self.parameters, self.extraction[rows.ravel()])
 
+    def face_parameters(
+        self, elements: ArrayLike, axis: int, side: int
+    ) -> tuple[IntArray, IntArray]:
+        """Return the parameters that govern a side of some elements of a volume mesh.
+
+        Parameters
+        ----------
+        elements, axis, side
+            As in `face`.
+
+        Returns
+        -------
+        within : int array
+            Parameters of the position on the face (values and derivatives along it).
+        across : int array
+            Parameters of the derivatives across it.
+        """
+        rows = np.asarray(elements, dtype=np.int64)[:, None] * 64
+        found = []
+        for crossing in (0, 1):
+            local = [
+                corner * 8 + kind
+                for corner in range(8)
+                if (corner >> axis) & 1 == side
+                for kind in range(8)
+                if (kind >> axis) & 1 == crossing
+            ]
+            part = self.extraction[(rows + np.array(local)).ravel()]
+            found.append(np.unique(part.indices[part.data != 0.0]).astype(np.int64))
+        return found[0], found[1]
+
     def subset(self, elements: ArrayLike) -> HermiteMesh:
         """Return the mesh of some elements with the parameters that they use."""
         rows = np.asarray(elements, dtype=np.int64)[:, None] * 4**self.dim

@@ -1,21 +1,47 @@
 """Muscle-driven equilibrium of a soft tissue: laws, contact, assembly and continuation."""
 
-from .constraints import clamp, face_parameters, symmetry_plane
+from .constraints import clamp, symmetry_plane
 from .contact import PairContact, RigidContact, SignedDistance, face_points
 from .continuation import Continuation, Settings, solve
-from .laws import FAT, MUSCLE, Coefficients, FibreLaw, mix
+from .laws import (
+    FAT,
+    MUSCLE,
+    Coefficients,
+    FibreLaw,
+    Formulation,
+    Guccione,
+    Law,
+    Muscle,
+    Volume,
+    mix,
+)
 from .problem import Problem, State, Statistics
-from .terms import FibreQuadrature, Fibres, Load, PointTerm, Springs
+from .terms import (
+    DeadForces,
+    FibreQuadrature,
+    Fibres,
+    FollowerPressure,
+    Load,
+    PointTerm,
+    Springs,
+    Tension,
+)
 
 __all__ = [
     "FAT",
     "MUSCLE",
     "Coefficients",
     "Continuation",
+    "DeadForces",
     "FibreLaw",
     "FibreQuadrature",
     "Fibres",
+    "FollowerPressure",
+    "Formulation",
+    "Guccione",
+    "Law",
     "Load",
+    "Muscle",
     "PairContact",
     "PointTerm",
     "Problem",
@@ -25,8 +51,9 @@ __all__ = [
     "Springs",
     "State",
     "Statistics",
+    "Tension",
+    "Volume",
     "clamp",
-    "face_parameters",
     "face_points",
     "mix",
     "solve",

@@ -11,41 +11,6 @@ from ..hermite import HermiteMesh
 BoolArray = NDArray[np.bool_]
 
 
-def face_parameters(
-    mesh: HermiteMesh, elements: ArrayLike, axis: int, side: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the parameters that govern a face.
-
-    Parameters
-    ----------
-    mesh : HermiteMesh
-        Of dimension 3.
-    elements : (n,) int array
-    axis, side : int
-        The face is where ``xi_axis`` equals ``side``.
-
-    Returns
-    -------
-    within : int array
-        Parameters of the position on the face (values and derivatives along it).
-    across : int array
-        Parameters of the derivatives across it.
-    """
-    rows = np.asarray(elements, dtype=np.int64)[:, None] * 64
-    found = []
-    for crossing in (0, 1):
-        local = [
-            corner * 8 + kind
-            for corner in range(8)
-            if (corner >> axis) & 1 == side
-            for kind in range(8)
-            if (kind >> axis) & 1 == crossing
-        ]
-        part = mesh.extraction[(rows + np.array(local)).ravel()]
-        found.append(np.unique(part.indices[part.data != 0.0]).astype(np.int64))
-    return found[0], found[1]
-
-
 def clamp(
     mesh: HermiteMesh, elements: ArrayLike, axis: int, side: int, *, slope: bool = False
 ) -> BoolArray:
@@ -54,7 +19,7 @@ def clamp(
     Parameters
     ----------
     mesh, elements, axis, side
-        As in `face_parameters`.
+        As in `HermiteMesh.face`.
     slope : bool
         Whether the derivatives across the face are held as well.
 
@@ -63,7 +28,7 @@ def clamp(
     (n_params, 3) bool array
         Fixed components; combine masks with ``|``.
     """
-    within, across = face_parameters(mesh, elements, axis, side)
+    within, across = mesh.face_parameters(elements, axis, side)
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
     fixed[within] = True
     if slope:
@@ -83,7 +48,7 @@ def symmetry_plane(
     Parameters
     ----------
     mesh, elements, axis, side
-        As in `face_parameters`.
+        As in `HermiteMesh.face`.
     component : int
         Coordinate normal to the plane.
 
@@ -96,7 +61,7 @@ def symmetry_plane(
     InputError
         If a parameter governs both the face and the slope across it.
     """
-    within, across = face_parameters(mesh, elements, axis, side)
+    within, across = mesh.face_parameters(elements, axis, side)
     if len(np.intersect1d(within, across)):
         raise InputError(
             "symmetry plane: the extraction mixes derivatives along and across the face; give "
