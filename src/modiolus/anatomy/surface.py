@@ -26,12 +26,12 @@ from scipy.sparse.csgraph import connected_components
 
 from modiolus.errors import InputError
 
-__all__ = ["MIDPLANE", "Closest", "Surface", "read_surface"]
+__all__ = ["MIDPLANE", "Closest", "Surface", "is_whole_ply", "read_surface"]
 
 #: x of the reference anatomy's mid-sagittal plane (mm).
 MIDPLANE = -0.67
 
-_READABLE = (".ply", ".stl", ".obj")
+_READABLE = (".ply", ".stl", ".obj", ".vtp")
 
 
 class Closest(NamedTuple):
@@ -121,6 +121,16 @@ class Surface:
         """(m, 3) outward unit normals of the triangles (zero for degenerate ones)."""
         lengths = np.linalg.norm(self._cross, axis=1, keepdims=True)
         return np.asarray(self._cross / np.where(lengths > 0.0, lengths, 1.0))
+
+    @cached_property
+    def vertex_normals(self) -> np.ndarray:
+        """(n, 3) outward unit normals of the vertices, the triangles weighted by their area."""
+        out = np.zeros_like(self.vertices)
+        for corner in self.faces.T:
+            for axis in range(3):
+                out[:, axis] += np.bincount(corner, self._cross[:, axis], minlength=len(out))
+        lengths = np.linalg.norm(out, axis=1, keepdims=True)
+        return np.asarray(out / np.where(lengths > 0.0, lengths, 1.0))
 
     @property
     def area(self) -> float:
@@ -261,7 +271,7 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
     Parameters
     ----------
     path : path
-        A PLY, STL or OBJ file. The vertices of an STL file are merged.
+        A PLY, STL, OBJ or VTP file. The vertices of an STL file are merged.
     name : str, optional
         What the surface is; by default the file's name.
 
@@ -279,7 +289,7 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
     import pyvista as pv
 
     damaged = f"{path}: cannot be read as a surface; it may be truncated, fetch it again"
-    if path.suffix.lower() == ".ply" and not _is_whole_ply(path):
+    if path.suffix.lower() == ".ply" and not is_whole_ply(path):
         raise InputError(damaged)
     try:
         # VTK's own messages go to the root log and as warnings; one line from here is enough.
@@ -303,7 +313,7 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
     return surface
 
 
-def _is_whole_ply(path: Path) -> bool:
+def is_whole_ply(path: Path) -> bool:
     """Tell whether a PLY file has the content that its header promises.
 
     Libraries are known to bring the process down on a truncated one, VTK and libigl among them.

@@ -1,0 +1,287 @@
+"""A scan: a measured face as a surface or a cloud of points, read and checked."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, cKDTree
+
+from ..anatomy.surface import Surface, read_surface
+from ..errors import InputError
+from ..fitting.register import Registration
+
+__all__ = ["UNITS", "Scan", "read_scan"]
+
+Array = NDArray[np.float64]
+
+#: Millimetres in a unit of length that a scanner may write.
+UNITS = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
+
+#: Files larger than this (bytes) and scans of more points are refused: memory stays bounded.
+_LARGEST_FILE = 2**30
+_MOST_POINTS = 3_000_000
+#: Fewer distinct points than this tell nothing of a face.
+_FEWEST_POINTS = 500
+_MESHES = (".ply", ".obj", ".stl", ".vtp")
+_CLOUDS = (".xyz", ".txt", ".csv", ".asc", ".pts")
+#: Points that make the normal of a cloud.
+_NEIGHBOURS = 18
+#: Edges longer than this many times the spacing of the points bridge a gap.
+_BRIDGE = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A measured face.
+
+    Attributes
+    ----------
+    name : str
+        For messages; the file's name.
+    points : (n, 3) array
+        In the file's unit and frame, or after `placed` in mm and the head's frame.
+    normals : (n, 3) array
+        Outward unit normals.
+    surface : Surface
+        The triangles between the points, or a surface through a cloud.
+    cloud : bool
+        Whether it is a cloud, whose surface has vertices of its own.
+    """
+
+    name: str
+    points: Array
+    normals: Array
+    surface: Surface
+    cloud: bool = False
+
+    @cached_property
+    def weights(self) -> Array:
+        """Area that each point stands for, (n,); the same everywhere in a cloud.
+
+        With these, dense parts of a mesh count no more than sparse ones.
+        """
+        if self.cloud:
+            return np.full(len(self.points), self.surface.area / len(self.points))
+        thirds = np.repeat(self.surface.areas / 3.0, 3)
+        return np.asarray(
+            np.bincount(self.surface.faces.ravel(), thirds, minlength=len(self.points)), dtype=float
+        )
+
+    @cached_property
+    def _rim(self) -> NDArray[np.bool_]:
+        """Whether a vertex of the surface lies on its border."""
+        faces = self.surface.faces
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        found, counts = np.unique(edges, axis=0, return_counts=True)
+        out = np.zeros(len(self.surface.vertices), dtype=bool)
+        out[found[counts == 1].ravel()] = True
+        return out
+
+    def placed(self, pose: Registration) -> Scan:
+        """Return the scan in another frame."""
+        return replace(
+            self,
+            points=pose.apply(self.points),
+            normals=self.normals @ pose.rotation.T,
+            surface=pose.moved(self.surface),
+        )
+
+    def nearest(self, points: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Find the closest points of the scan.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+
+        Returns
+        -------
+        points : (n, 3) array
+        normals : (n, 3) array
+        rim : (n,) bool array
+            The closest point is on the border: what is asked for lies beside the scan.
+        """
+        surface = self.surface
+        found = surface.closest(points)
+        corners = surface.faces[found.faces]
+        shares = barycentric(found.points, surface.vertices[corners])
+        normals = np.einsum("nk,nki->ni", shares, surface.vertex_normals[corners])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        rim = (shares * self._rim[corners]).sum(axis=1) > 1.0 - 1e-6
+        return found.points, normals, rim
+
+    def same_order(self, other: Scan) -> bool:
+        """Tell whether two scans are one mesh in two states, vertex by vertex."""
+        return (
+            not self.cloud
+            and not other.cloud
+            and np.array_equal(self.surface.faces, other.surface.faces)
+        )
+
+
+def barycentric(points: Array, corners: Array) -> Array:
+    """Return the barycentric coordinates (n, 3) of points (n, 3) in triangles (n, 3, 3)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
+    wu, wv = (w * u).sum(1), (w * v).sum(1)
+    area = np.maximum(uu * vv - uv * uv, 1e-300)
+    s, t = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
+    out = np.clip(np.stack([1.0 - s - t, s, t], axis=1), 0.0, 1.0)
+    return np.asarray(out / out.sum(axis=1, keepdims=True))
+
+
+def read_scan(path: str | Path) -> Scan:
+    """Read a scan and check it.
+
+    Parameters
+    ----------
+    path : path
+        A surface (PLY, OBJ, STL, VTP) or a cloud of points (PLY without faces; XYZ, TXT, CSV,
+        ASC or PTS with a point a line and perhaps its normal) in any unit and pose.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, too large, of another kind, or holds too little.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    if suffix not in _MESHES + _CLOUDS:
+        kinds = ", ".join(_MESHES + _CLOUDS[:1])
+        raise InputError(f"{path}: not a kind of scan that can be read; give one of {kinds}")
+    size = path.stat().st_size
+    if size > _LARGEST_FILE:
+        raise InputError(
+            f"{path}: {size >> 20} MiB are more than {_LARGEST_FILE >> 20}; decimate the scan"
+        )
+    if suffix in _CLOUDS:
+        return _cloud(path, _read_rows(path))
+    if suffix == ".ply" and _is_cloud(path):
+        return _cloud(path, _read_ply_points(path))
+    surface = read_surface(path)
+    _check(path, surface.vertices)
+    surface = _tidied(surface, path.name)
+    _check(path, surface.vertices)
+    return Scan(path.name, surface.vertices, surface.vertex_normals, surface)
+
+
+def _check(path: Path, points: Array) -> None:
+    """Refuse what cannot be a face, before anything is computed with it."""
+    if not np.isfinite(points).all():
+        bad = int((~np.isfinite(points)).any(axis=1).sum())
+        raise InputError(f"{path}: {bad} points are not finite; remove them")
+    if len(points) > _MOST_POINTS:
+        raise InputError(
+            f"{path}: {len(points)} points are more than {_MOST_POINTS}; decimate the scan"
+        )
+    if len(points) < _FEWEST_POINTS:
+        raise InputError(
+            f"{path}: {len(points)} points are too few for a face (at least {_FEWEST_POINTS}); "
+            "give the whole scan"
+        )
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[0] == 0.0 or spread[2] < 1e-3 * spread[0]:
+        raise InputError(f"{path}: all points lie in a plane, on a line or in one place; no face")
+
+
+def _tidied(surface: Surface, name: str) -> Surface:
+    """Drop points that no triangle uses, and triangles without three different corners."""
+    faces = surface.faces
+    sound = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    used, packed = np.unique(faces[sound], return_inverse=True)
+    return Surface(surface.vertices[used], packed.reshape(-1, 3), name)
+
+
+def _is_cloud(path: Path) -> bool:
+    """Tell whether a PLY file has no faces."""
+    with path.open("rb") as file:
+        head = file.read(1 << 16).partition(b"end_header")[0]
+    found = re.search(rb"element\s+face\s+(\d+)", head)
+    return b"element vertex" in head and (found is None or int(found[1]) == 0)
+
+
+def _read_ply_points(path: Path) -> Array:
+    import pyvista as pv
+
+    from ..anatomy.surface import is_whole_ply
+
+    damaged = f"{path}: cannot be read as a cloud; it may be truncated, fetch it again"
+    if not is_whole_ply(path):
+        raise InputError(damaged)
+    try:
+        with warnings.catch_warnings(), pv.VtkErrorCatcher(raise_errors=True):
+            warnings.simplefilter("ignore")
+            return np.asarray(pv.read(path).points, dtype=float)
+    except (RuntimeError, ValueError, AttributeError) as error:
+        raise InputError(damaged) from error
+
+
+def _read_rows(path: Path) -> Array:
+    """Read three or more numbers a line; a first line of words and lines after # are skipped."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="strict")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not text; give a point a line") from None
+    rows = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            rows.append([float(word) for word in words[:3]])
+            if len(words) < 3:
+                raise ValueError
+        except ValueError:
+            if rows and len(rows) > 1:
+                raise InputError(
+                    f"{path}: line {number} does not hold three numbers; mend it"
+                ) from None
+            rows = []  # a heading, or the count of points in a PTS file
+        if len(rows) > _MOST_POINTS:
+            raise InputError(f"{path}: more than {_MOST_POINTS} points; decimate the scan")
+    return np.array(rows, dtype=float).reshape(-1, 3)
+
+
+def _cloud(path: Path, points: Array) -> Scan:
+    _check(path, points)
+    points = np.unique(points, axis=0)
+    _check(path, points)
+    normals, surface = _wrapped(points, path.name)
+    return Scan(path.name, points, normals, surface, cloud=True)
+
+
+def _wrapped(points: Array, name: str) -> tuple[Array, Surface]:
+    """Return normals of a cloud, and a surface through it.
+
+    Seen from the centre of the sphere that fits it best, a face hides hardly any part of itself:
+    the convex hull of the directions triangulates it. Triangles that bridge gaps are left out.
+    The normals are those of planes through neighbours, turned as the triangles are.
+    """
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    centre = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0][:3]
+    rays = points - centre
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
+    faces = ConvexHull(rays).simplices.astype(np.int64)
+    a, b, c = (rays[faces[:, k]] for k in range(3))
+    inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    gaps, near = cKDTree(points).query(points, k=_NEIGHBOURS)
+    spacing = gaps[:, 1:7].mean(axis=1)
+    edges = faces[:, [[0, 1], [1, 2], [2, 0]]]
+    lengths = np.linalg.norm(points[edges[..., 0]] - points[edges[..., 1]], axis=2)
+    faces = faces[(lengths < _BRIDGE * spacing[edges].max(axis=2)).all(axis=1)]
+    if len(faces) < len(points) // 2:
+        raise InputError(f"{name}: no surface passes through the points; give a denser cloud")
+    surface = Surface(points, faces, name)
+    around = points[near] - points[near].mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    turned = (normals * surface.vertex_normals).sum(axis=1) < 0.0
+    return np.where(turned[:, None], -normals, normals), _tidied(surface, name)
