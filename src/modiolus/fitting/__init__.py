@@ -11,15 +11,20 @@ from .fit import (
     part_normals,
     sobolev,
 )
+from .register import Registration, icp, register, similarity
 
 __all__ = [
     "CloudTarget",
     "FitResult",
     "GroupReport",
     "PointTarget",
+    "Registration",
     "Smoothing",
     "SurfaceTarget",
     "fit",
+    "icp",
     "part_normals",
+    "register",
+    "similarity",
     "sobolev",
 ]
