@@ -1,7 +1,12 @@
 """Anatomy: surfaces, named structures, signed distances."""
 
 from modiolus.anatomy.bodyparts3d import DEEP_STRUCTURES, STRUCTURES, BodyParts3D
-from modiolus.anatomy.distance import DistanceGrid, DistanceSample, deep_distances
+from modiolus.anatomy.distance import (
+    DistanceGrid,
+    DistanceSample,
+    MirroredDistance,
+    deep_distances,
+)
 from modiolus.anatomy.surface import MIDPLANE, Closest, Surface, read_surface
 
 __all__ = [
@@ -12,6 +17,7 @@ __all__ = [
     "Closest",
     "DistanceGrid",
     "DistanceSample",
+    "MirroredDistance",
     "Surface",
     "deep_distances",
     "read_surface",

@@ -27,7 +27,13 @@ from modiolus.anatomy.bodyparts3d import BodyParts3D
 from modiolus.anatomy.surface import Surface
 from modiolus.errors import InputError
 
-__all__ = ["DistanceGrid", "DistanceSample", "deep_distances", "distances_in_band"]
+__all__ = [
+    "DistanceGrid",
+    "DistanceSample",
+    "MirroredDistance",
+    "deep_distances",
+    "distances_in_band",
+]
 
 #: Distance that one unit of the stored bytes stands for (mm).
 QUANTUM = 0.05
@@ -193,6 +199,66 @@ class DistanceGrid:
         for axis in range(values.ndim):
             values = np.cumsum(values, axis=axis, dtype=np.uint8)
         return cls(origin, spacing, values.view(np.int8))
+
+
+#: Distance from the mirror plane (mm) within which a structure and its image are blended.
+_BLEND = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class MirroredDistance:
+    """Distance to a structure and to its mirror image, given the left one.
+
+    A structure that crosses the plane is not quite its own image. Beside the plane the distances
+    to the two are blended, so that the field is exactly symmetric and C² throughout.
+
+    Parameters
+    ----------
+    grid : DistanceGrid
+        Of the left side, at larger x than the plane.
+    plane : float
+        x of the mirror plane (mm).
+    """
+
+    grid: DistanceGrid
+    plane: float
+
+    def sample(self, points: np.ndarray) -> DistanceSample:
+        """Sample the field with its first and second derivatives: see `DistanceGrid.sample`."""
+        away = points[:, 0] - self.plane
+        out = self._one_side(points, away < 0.0)
+        reach = min(_BLEND, self.plane - float(self.grid.bounds[0, 0]))
+        near = np.flatnonzero(np.abs(away) < reach)
+        if len(near) == 0:
+            return out
+        (d, g, h), (e, f, k) = (
+            self._one_side(points[near], np.full(len(near), image)) for image in (False, True)
+        )
+        # The quintic step has no first and second derivative at its ends.
+        t = 0.5 + 0.5 * away[near] / reach
+        w = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+        slope = 15.0 * (t * (1.0 - t)) ** 2 / reach
+        bend = 15.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / reach**2
+        out.distance[near] = e + w * (d - e)
+        out.gradient[near] = f + w[:, None] * (g - f)
+        out.gradient[near, 0] += slope * (d - e)
+        hessian = k + w[:, None, None] * (h - k)
+        cross = slope[:, None] * (g - f)
+        hessian[:, 0] += cross
+        hessian[:, :, 0] += cross
+        hessian[:, 0, 0] += bend * (d - e)
+        out.hessian[near] = hessian
+        return out
+
+    def _one_side(self, points: np.ndarray, image: np.ndarray) -> DistanceSample:
+        """Sample the structure, or at some points its image."""
+        folded = np.array(points, dtype=np.float64)
+        folded[image, 0] = 2.0 * self.plane - folded[image, 0]
+        sample = self.grid.sample(folded)
+        sample.gradient[image, 0] *= -1.0
+        sample.hessian[image, 0, 1:] *= -1.0
+        sample.hessian[image, 1:, 0] *= -1.0
+        return sample
 
 
 def distances_in_band(

@@ -12,6 +12,7 @@ import tomllib
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..anatomy.distance import DistanceGrid
+from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..anatomy.surface import MIDPLANE
 from ..errors import InputError, unknown_name
-from ..hermite import HermiteMesh
+from ..hermite import HermiteMesh, MirroredMesh
 from ..hermite.basis import Array
+from .jaw import Jaw
 from .muscle import Muscle
 from .tissue import Side
 
@@ -82,7 +84,7 @@ class Attachment:
 
 @dataclass(frozen=True)
 class Head:
-    """A head model: the left half, mirrored in the mid-plane.
+    """A head model: the left half, mirrored in the mid-plane, or both sides.
 
     Attributes
     ----------
@@ -104,6 +106,8 @@ class Head:
         x of the mirror plane (mm).
     about : dict
         Subject, source, licence, attribution, and the figures of the build.
+    half : Head or None
+        Of a head with both sides, the half that it was made of; see `whole`.
     """
 
     name: str
@@ -117,6 +121,45 @@ class Head:
     attachments: dict[str, Attachment]
     midplane: float = MIDPLANE
     about: dict[str, Any] = field(default_factory=dict)
+    half: Head | None = None
+
+    @cached_property
+    def both(self) -> MirroredMesh:
+        """The tissue of this half and its mirror image as one mesh."""
+        return MirroredMesh.of(self.tissue, *self.sides["midplane"], self.midplane)
+
+    @cached_property
+    def whole(self) -> Head:
+        """The head with both sides: see `modiolus.face.whole`."""
+        from .whole import whole_head
+
+        return self if self.half is not None else whole_head(self)
+
+    @cached_property
+    def jaw(self) -> Jaw | None:
+        """The jaw, or None where the deep structures have none."""
+        return Jaw.of({name: item.distance for name, item in self.deep.items()}, self.midplane)
+
+    def distance(self, name: str) -> MirroredDistance:
+        """Return the distance to a deep structure on both sides."""
+        return MirroredDistance(self.deep[name].distance, self.midplane)
+
+    def halves(self, parameters: Array) -> tuple[Array, Array]:
+        """Return a state as two of the left half: the left side, and the right one mirrored.
+
+        Parameters
+        ----------
+        parameters : (n_params, 3) array
+            Of this half's tissue or of the whole's.
+        """
+        if len(parameters) == self.tissue.n_params:
+            return parameters, parameters
+        return self.both.halves(parameters)
+
+    def is_median(self, landmark: str) -> bool:
+        """Tell whether a landmark lies on the mid-plane."""
+        element, xi = self.landmarks[landmark]
+        return bool(abs(self.tissue.evaluate([element], [xi])[0, 0] - self.midplane) < 1e-6)
 
     def mirror(self, points: Array) -> Array:
         """Return points (..., 3) mirrored in the mid-plane."""
@@ -127,17 +170,23 @@ class Head:
     def landmark_points(self, parameters: Array | None = None) -> dict[str, Array]:
         """Return the landmarks of both sides under some tissue parameters, each (3,).
 
-        Those on the mid-plane keep their name; the others get ``_left`` and ``_right``.
+        Those on the mid-plane keep their name; the others get ``_left`` and ``_right``. The
+        parameters are those of this half's tissue or of the whole's.
         """
-        mesh = self.tissue if parameters is None else self.tissue.with_parameters(parameters)
+        if self.half is not None:
+            return self.half.landmark_points(
+                self.tissue.parameters if parameters is None else parameters
+            )
+        sides = self.halves(self.tissue.parameters if parameters is None else parameters)
+        left, right = (self.tissue.with_parameters(side) for side in sides)
         out: dict[str, Array] = {}
         for name, (element, xi) in self.landmarks.items():
-            point = mesh.evaluate([element], [xi])[0]
-            if abs(self.tissue.evaluate([element], [xi])[0, 0] - self.midplane) < 1e-6:
+            point = left.evaluate([element], [xi])[0]
+            if self.is_median(name):
                 out[name] = point
             else:
                 out[f"{name}_left"] = point
-                out[f"{name}_right"] = self.mirror(point)
+                out[f"{name}_right"] = self.mirror(right.evaluate([element], [xi])[0])
         return out
 
     def save(self, folder: Path) -> None:
