@@ -35,7 +35,7 @@ def catalogue(
         from modiolus.cli.run import Runner
         from modiolus.view.face import draw_catalogue
 
-        runner = Runner(chosen, quiet)
+        runner = Runner(chosen, quiet, head)
         runs, states = [], []
         for muscle in chosen.muscles.values():
             began = time.perf_counter()

@@ -19,6 +19,7 @@ from modiolus.hermite.tessellate import tessellate
 from modiolus.mechanics import Continuation, State
 from modiolus.mechanics.face import face_problem
 from modiolus.progress import Progress
+from modiolus.scans.result import STATE_FILE, save_state
 from modiolus.view.face import draw_face
 
 __all__ = ["Runner"]
@@ -38,10 +39,13 @@ class Runner:
     head : Head
     quiet : bool
         No progress.
+    source : str
+        Name or folder of the head, for those who read the state later.
     """
 
-    def __init__(self, head: Head, quiet: bool = False) -> None:
+    def __init__(self, head: Head, quiet: bool = False, source: str = "") -> None:
         self.head = head
+        self.source = str(Path(source).resolve()) if Path(source, "head.toml").is_file() else source
         self.quiet = quiet
         self.problem = face_problem(head)
         self.scene = FaceScene(head)
@@ -81,10 +85,20 @@ class Runner:
             str(self.head.about.get("attribution", "")),
         )
         self._write_tissue(state, folder / "tissue.vtu")
+        save_state(
+            folder / STATE_FILE,
+            name,
+            self.head,
+            self.source or self.head.name,
+            state.parameters,
+            state.pressure,
+            state.activations,
+        )
         names = {
             "picture": "face.png",
             "model": "face.glb",
             "tissue": "tissue.vtu",
+            "state": STATE_FILE,
             "report": "report.json",
         }
         record = self.record(name, state)

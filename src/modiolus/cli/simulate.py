@@ -61,7 +61,7 @@ def simulate(
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
 
-        runner = Runner(chosen, quiet)
+        runner = Runner(chosen, quiet, head)
         state = runner.solve(wanted.name, activations)
         record = runner.write(wanted.name, wanted.title, state, folder, target, began)
     show(record, describe(record), as_json, quiet)

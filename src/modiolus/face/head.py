@@ -278,9 +278,9 @@ class Head:
     @classmethod
     def _read(cls, folder: Path) -> Head:
         table = _read_toml(folder / "head.toml")
-        tissue = _read_arrays(folder / "tissue.npz")
-        muscles = _grouped(_read_arrays(folder / "muscles.npz"))
-        deep = _grouped(_read_arrays(folder / "deep.npz"))
+        tissue = read_arrays(folder / "tissue.npz")
+        muscles = _grouped(read_arrays(folder / "muscles.npz"))
+        deep = _grouped(read_arrays(folder / "deep.npz"))
         try:
             extraction = sp.csr_matrix(
                 (_finite(tissue["data"]), tissue["indices"], tissue["indptr"]),
@@ -427,7 +427,14 @@ def _write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read an archive of plain arrays.
+
+    Raises
+    ------
+    InputError
+        It is missing, damaged or far too large.
+    """
     damaged = f"{path}: cannot be read as arrays; it may be truncated, build or copy it anew"
     try:
         with zipfile.ZipFile(path) as archive:

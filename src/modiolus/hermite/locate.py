@@ -184,3 +184,33 @@ def locate(mesh: HermiteMesh, points: Array, candidates: int = 6) -> Location:
     within = ((out_xi > 0.0) & (out_xi < 1.0)).all(axis=1)
     inside = distance < TOLERANCE if dim == 3 else within
     return Location(chosen, out_xi, distance, np.asarray(inside))
+
+
+def closest_in(
+    mesh: HermiteMesh, points: Array, elements: NDArray[np.int64], starts: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Find the closest point of given elements for each of some points.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+    points : (n, 3) array
+    elements : (n, k) int array
+        Where to search for each point; -1 for nowhere, at least one each.
+    starts : (n, k, dim) array
+        Local coordinates from which to begin.
+
+    Returns
+    -------
+    elements : (n,) int array
+    xi : (n, dim) array
+    distance : (n,) array
+        In mm.
+    """
+    xi = np.zeros((len(points), mesh.dim))
+    distance = np.full(len(points), np.inf)
+    chosen = np.zeros(len(points), dtype=np.int64)
+    _closest_all(
+        mesh.dim, COEFFICIENTS, mesh._local, points, elements, starts, xi, distance, chosen
+    )
+    return chosen, xi, distance

@@ -1,0 +1,229 @@
+"""The pose of a scan on a head: a whole fit, refined on the parts that keep still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from ..errors import InputError, SolveError
+from ..fitting.register import Registration, icp, register
+from .scan import UNITS, Scan
+from .skin import STILL_ZONES, Skin
+
+__all__ = ["Alignment", "align", "align_to_neutral", "register_scan"]
+
+Array = NDArray[np.float64]
+
+#: A whole fit worse than this (mm), or of less of the face, has found no face.
+_WORST_RMS, _LEAST_MATCHED = 6.0, 0.25
+#: Sizes of a head relative to ours that are believed.
+_SIZES = (0.7, 1.4)
+#: A still zone with fewer points says nothing.
+_FEWEST = 30
+_TUKEY, _LEAST_WIDTH = 4.685, 0.3
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The pose of a scan and how far to trust it.
+
+    Attributes
+    ----------
+    pose : Registration
+        From the file's unit and frame to the head's.
+    still_rms_mm : float
+        Distance left on the still zones, Tukey-weighted root mean square.
+    zones : dict of str to float
+        Still zone by zone: how far the face moves, root mean square in mm, when the pose is found
+        without it. Empty where there are fewer than two zones.
+    """
+
+    pose: Registration
+    still_rms_mm: float
+    zones: dict[str, float]
+
+    @property
+    def scatter_mm(self) -> float:
+        """The largest of `zones`: how stable the pose is."""
+        return max(self.zones.values(), default=float("nan"))
+
+
+def register_scan(
+    scan: Scan,
+    skin: Skin,
+    unit: str | None = None,
+    landmarks: tuple[ArrayLike, ArrayLike] | None = None,
+    scaled: bool = True,
+) -> Registration:
+    """Find a scan's pose, unit and size on a head at rest, and refuse what is no face.
+
+    Parameters
+    ----------
+    scan : Scan
+    skin : Skin
+    unit : str, optional
+        One of `UNITS`; found from the size by default.
+    landmarks : ((n, 3) array, (n, 3) array), optional
+        Matched points of the scan and of the head.
+    scaled : bool
+        Whether the head may be of another size than the person.
+
+    Raises
+    ------
+    InputError
+        The scan is mirrored, in another unit, or shows no face.
+    """
+    target = skin.surface(skin.head.tissue.parameters)
+    try:
+        pose = register(scan.surface, target, landmarks, scaled)
+    except SolveError as error:
+        raise InputError(f"{scan.name}: no face found; {error}") from None
+    if pose.facing < 0.0:
+        raise InputError(
+            f"{scan.name}: its triangles face inward, as those of a mirrored scan do; mirror it "
+            "back or turn them round"
+        )
+    if not pose.rms < _WORST_RMS or pose.matched < _LEAST_MATCHED:
+        raise InputError(
+            f"{scan.name}: no face found (it fits to {pose.rms:.1f} mm only); give a scan of the "
+            "face, or landmarks"
+        )
+    names = list(UNITS) if unit is None else [unit]
+    sizes = {name: UNITS[name] / pose.scale for name in names}
+    if not any(_SIZES[0] < size < _SIZES[1] for size in sizes.values()):
+        close = min(UNITS, key=lambda name: abs(np.log(UNITS[name] / pose.scale)))
+        raise InputError(
+            f"{scan.name}: wrong unit, a face of {1.0 / pose.scale:.3g} times the head's size in "
+            f"mm; it may be in {close}"
+        )
+    return pose
+
+
+def align(scan: Scan, skin: Skin, start: Registration) -> Alignment:
+    """Refine the pose of a scan on the head at rest, on the parts that keep still.
+
+    Parameters
+    ----------
+    scan : Scan
+        As read.
+    skin : Skin
+    start : Registration
+        From `register_scan`.
+    """
+    return _on_still_parts(scan, skin, start, None)
+
+
+def align_to_neutral(
+    scan: Scan, neutral: Scan, skin: Skin, neutral_pose: Registration
+) -> Alignment:
+    """Find the pose of an expression from the same person's neutral scan.
+
+    Parameters
+    ----------
+    scan, neutral : Scan
+        As read.
+    skin : Skin
+    neutral_pose : Registration
+        Of the neutral scan on the head at rest; the expression has its unit and size.
+    """
+    placed = neutral.placed(neutral_pose)
+    start = None
+    try:
+        # Often both are in one frame already.
+        start = icp(scan.surface, placed.surface, neutral_pose)
+        if not (start.rms < 3.0 and start.facing > 0.5 and start.matched > 0.5):
+            start = None
+    except SolveError:
+        pass
+    if start is None:
+        moved = scan.placed(_resized(neutral_pose))
+        try:
+            found = register(moved.surface, placed.surface, scaled=False)
+        except SolveError as error:
+            raise InputError(f"{scan.name}: no face found; {error}") from None
+        if found.facing < 0.0:
+            raise InputError(f"{scan.name}: mirrored against {neutral.name}; mirror it back")
+        if not found.rms < _WORST_RMS or abs(np.log(found.scale)) > 0.3:
+            raise InputError(
+                f"{scan.name}: not the face of {neutral.name} in the same unit; give both alike"
+            )
+        start = _chained(found, _resized(neutral_pose))
+    return _on_still_parts(scan, skin, start, placed)
+
+
+def _resized(pose: Registration) -> Registration:
+    return Registration(pose.scale, np.eye(3), np.zeros(3))
+
+
+def _chained(outer: Registration, inner: Registration) -> Registration:
+    """Return the pose that does first `inner` and then `outer`."""
+    return Registration(
+        outer.scale * inner.scale,
+        outer.rotation @ inner.rotation,
+        outer.apply(inner.translation),
+        unit=inner.unit,
+    )
+
+
+def _on_still_parts(scan: Scan, skin: Skin, start: Registration, neutral: Scan | None) -> Alignment:
+    state = skin.state(skin.head.tissue.parameters)
+    placed = scan.placed(start)
+    feet = state.feet(placed.points, placed.normals)
+    zone = np.where(feet.covered, skin.zones(feet), -1)
+    used = [k for k in range(len(STILL_ZONES)) if (zone == k).sum() >= _FEWEST]
+    if not used:
+        return Alignment(start, float("nan"), {})
+
+    def nearest(points: Array, normals: Array) -> tuple[Array, Array, Array]:
+        if neutral is None:
+            found = state.feet(points, normals)
+            return found.points, found.normals, found.covered.astype(float)
+        near, outward, rim = neutral.nearest(points)
+        return near, outward, (~rim & ((outward * normals).sum(axis=1) > 0.3)).astype(float)
+
+    def fit(zones: list[int]) -> tuple[Registration, float]:
+        rows = np.isin(zone, zones)
+        # Every zone counts alike, however finely it was measured.
+        share = np.zeros(len(zone))
+        for k in zones:
+            share[zone == k] = 1.0 / (zone == k).sum()
+        points, normals, base = placed.points[rows], placed.normals[rows], share[rows]
+        pose, rms = Registration(1.0, np.eye(3), np.zeros(3)), float("nan")
+        for _ in range(40):
+            moved = pose.apply(points)
+            near, outward, good = nearest(moved, normals @ pose.rotation.T)
+            gap = ((near - moved) * outward).sum(axis=1)
+            width = max(_TUKEY * 1.4826 * float(np.median(np.abs(gap))), _LEAST_WIDTH)
+            weight = base * good * np.clip(1.0 - (gap / width) ** 2, 0.0, None) ** 2
+            total = weight.sum()
+            if total <= 0.0:
+                break
+            rms = float(np.sqrt((weight * gap**2).sum() / total))
+            centre = moved.mean(axis=0)
+            matrix = np.hstack([np.cross(moved - centre, outward), outward])
+            normal = matrix.T @ (weight[:, None] * matrix)
+            # Directions that the zones hardly determine stay where the whole fit put them.
+            normal += 1e-4 * np.diag(np.diag(normal))
+            step = np.linalg.solve(normal, matrix.T @ (weight * gap))
+            turn = Rotation.from_rotvec(step[:3]).as_matrix()
+            pose = Registration(
+                1.0,
+                turn @ pose.rotation,
+                turn @ (pose.translation - centre) + centre + step[3:],
+            )
+            if np.abs(step[3:]).max() < 1e-4 and np.abs(step[:3]).max() < 1e-6:
+                break
+        return pose, rms
+
+    best, rms = fit(used)
+    face = placed.points[feet.covered]
+    scatter = {}
+    if len(used) > 1:
+        for left_out in used:
+            other, _ = fit([k for k in used if k != left_out])
+            moved = other.apply(face) - best.apply(face)
+            scatter[STILL_ZONES[left_out]] = float(np.sqrt((moved**2).sum(axis=1).mean()))
+    return Alignment(_chained(best, start), rms, scatter)

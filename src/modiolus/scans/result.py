@@ -1,0 +1,117 @@
+"""What a simulation leaves for later: the exact state, and the head it belongs to."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..face.head import Head, read_arrays
+
+__all__ = ["STATE_FILE", "Result", "load_result", "save_state"]
+
+Array = NDArray[np.float64]
+
+#: Name of the file in the folder of a run.
+STATE_FILE = "state.npz"
+
+
+@dataclass(frozen=True)
+class Result:
+    """A computed state of a head.
+
+    Attributes
+    ----------
+    expression : str
+    head : Head
+    parameters : (n_params, 3) array
+        Of the tissue (mm).
+    activations : dict of str to float
+        By muscle; those at rest are left out.
+    """
+
+    expression: str
+    head: Head
+    parameters: Array
+    activations: dict[str, float]
+
+
+def _digest(head: Head) -> str:
+    return hashlib.sha256(np.round(head.tissue.parameters, 6).tobytes()).hexdigest()[:16]
+
+
+def save_state(
+    path: Path,
+    expression: str,
+    head: Head,
+    source: str,
+    parameters: Array,
+    pressure: Array,
+    activations: dict[str, float],
+) -> None:
+    """Write a state as plain arrays.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    expression : str
+    head : Head
+    source : str
+        Name of a shipped head, or the folder it was read from.
+    parameters : (n_params, 3) array
+    pressure : (n_vertices,) array
+        In kPa.
+    activations : dict of str to float
+    """
+    np.savez_compressed(
+        path,
+        allow_pickle=False,
+        expression=np.array(expression),
+        head=np.array(source),
+        digest=np.array(_digest(head)),
+        parameters=parameters,
+        pressure=pressure,
+        muscles=np.array(list(activations), dtype="U64"),
+        activations=np.array(list(activations.values()), dtype=float),
+    )
+
+
+def load_result(folder: str | Path, head: str | None = None) -> Result:
+    """Read the state that ``modiolus simulate`` wrote into a folder.
+
+    Parameters
+    ----------
+    folder : path
+    head : str, optional
+        Name or folder of the head where it is no longer where it was.
+
+    Raises
+    ------
+    InputError
+        The folder holds no state, it is damaged, or the head has changed since.
+    """
+    path = Path(folder) / STATE_FILE
+    if not path.is_file():
+        raise InputError(f"{folder}: no {STATE_FILE} in it; name a folder that simulate wrote")
+    arrays = read_arrays(path)
+    try:
+        source = str(arrays["head"]) if head is None else head
+        chosen = Head.load(source)
+        parameters = np.asarray(arrays["parameters"], dtype=float)
+        names, values = arrays["muscles"].tolist(), arrays["activations"].astype(float).tolist()
+        same = str(arrays["digest"]) == _digest(chosen)
+        expression = str(arrays["expression"])
+    except (KeyError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: its arrays make no state ({error}); simulate anew") from error
+    if not same or parameters.shape != chosen.tissue.parameters.shape:
+        raise InputError(f"{folder}: the head {source} has changed since; simulate anew")
+    if not np.isfinite(parameters).all():
+        raise InputError(f"{path}: a number is not finite; simulate anew")
+    return Result(expression, chosen, parameters, dict(zip(names, values, strict=True)))
