@@ -20,7 +20,7 @@ from modiolus.mechanics import (
     symmetry_plane,
 )
 from modiolus.mechanics.kernels import active_force, fibre, passive, passive_force
-from modiolus.mechanics.laws import MUSCLE, FibreLaw
+from modiolus.mechanics.laws import MUSCLE, FibreLaw, Guccione, Law, Muscle, Volume
 
 RNG = np.random.default_rng(20)
 
@@ -151,6 +151,44 @@ def test_product_with_fixed_parameters_matches_finite_differences():
     assert np.abs((ahead - behind) / (2 * h) - product).max() < 2e-6 * np.abs(product).max()
 
 
+def at_point(f, c, kappa, p, law=Law.ISOCHORIC, volume=Volume.MULTIPLIER):
+    """Energy, J, stress and tangent of the passive tissue at one point."""
+    h, stress, tangent = np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 3, 3))
+    form = (int(law), np.asarray(c), int(volume))
+    energy, ratio, _, _ = passive(f, *form, kappa, p, h, stress, tangent, True)
+    return energy, ratio, stress, tangent
+
+
+FIBRE = np.array([0.6, 0.0, 0.8])
+LAWS = {
+    Law.ISOCHORIC: MUSCLE["yeoh-nazari2010"].array(),
+    Law.PLAIN: MUSCLE["wu2013"].array(),
+    Law.GUCCIONE: Guccione(2.0, 8.0, 2.0, 4.0).array(FIBRE),
+    Law.MUSCLE: Muscle(0.5, 0.7, FibreLaw(), 0.2).array(FIBRE),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("volume", Volume)
+@pytest.mark.parametrize("amount", [1e-3, 0.1])
+def test_law_has_the_derivatives_it_says(law, volume, amount):
+    rng = np.random.default_rng(11)
+    f = np.diag([1.05, 0.98, 1.02]) + amount * rng.uniform(-1, 1, (3, 3))
+    _, _, stress, tangent = at_point(f, LAWS[law], 20.0, 1.5, law, volume)
+    h = 1e-6
+    pairs = {(0, 0): 0, (0, 1): 1, (0, 2): 2, (1, 1): 3, (1, 2): 4, (2, 2): 5}
+    for j, m in np.ndindex(3, 3):
+        step = np.zeros((3, 3))
+        step[j, m] = h
+        ahead = at_point(f + step, LAWS[law], 20.0, 1.5, law, volume)
+        behind = at_point(f - step, LAWS[law], 20.0, 1.5, law, volume)
+        assert (ahead[0] - behind[0]) / (2 * h) == pytest.approx(stress[j, m], abs=1e-7)
+        rates = (ahead[2] - behind[2]) / (2 * h)
+        for i, k in np.ndindex(3, 3):
+            found = tangent[pairs[i, j], k, m] if i <= j else tangent[pairs[j, i], m, k]
+            assert rates[i, k] == pytest.approx(found, abs=2e-6), (i, k, j, m)
+
+
 @given(st.integers(0, 10**6), st.sampled_from(sorted(MUSCLE)))
 @settings(max_examples=30, deadline=None)
 def test_passive_law_is_frame_indifferent_and_symmetric(seed, name):
@@ -159,10 +197,10 @@ def test_passive_law_is_frame_indifferent_and_symmetric(seed, name):
     rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     rotation *= np.linalg.det(rotation)
     c = MUSCLE[name].array()
-    stress, turned, tangent = np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 3, 3))
-    energy, ratio = passive(f, c, 20.0, 1.5, stress, tangent, True)
+    energy, ratio, stress, tangent = at_point(f, c, 20.0, 1.5)
     assert ratio == pytest.approx(np.linalg.det(f))
-    assert passive(rotation @ f, c, 20.0, 1.5, turned, tangent, True)[0] == pytest.approx(energy)
+    turned_energy, _, turned, _ = at_point(rotation @ f, c, 20.0, 1.5)
+    assert turned_energy == pytest.approx(energy)
     assert np.allclose(turned, rotation @ stress)
     cauchy = stress @ f.T
     assert np.allclose(cauchy, cauchy.T)
@@ -171,8 +209,7 @@ def test_passive_law_is_frame_indifferent_and_symmetric(seed, name):
 
 
 def test_passive_law_is_at_rest_without_deformation():
-    stress, tangent = np.empty((3, 3)), np.empty((6, 3, 3))
-    energy, _ = passive(np.eye(3), MUSCLE["wu2013"].array(), 20.0, 0.0, stress, tangent, True)
+    energy, _, stress, tangent = at_point(np.eye(3), MUSCLE["wu2013"].array(), 20.0, 0.0)
     assert energy == pytest.approx(0.0, abs=1e-14)
     assert np.abs(stress).max() < 1e-14
     # Shear modulus 2 (c1 + c2) = 7.35 kPa.

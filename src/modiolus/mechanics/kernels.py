@@ -15,6 +15,12 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
+from .laws import Law, Volume
+
+# Numba takes these for compile-time constants.
+ISOCHORIC, PLAIN, GUCCIONE = int(Law.ISOCHORIC), int(Law.PLAIN), int(Law.GUCCIONE)
+MULTIPLIER, INVERSE = int(Volume.MULTIPLIER), int(Volume.INVERSE)
+
 
 @njit(cache=True, inline="always")
 def cofactor(f: Any, h: Any) -> Any:
@@ -29,112 +35,6 @@ def cofactor(f: Any, h: Any) -> Any:
     h[2, 1] = f[0, 2] * f[1, 0] - f[0, 0] * f[1, 2]
     h[2, 2] = f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
     return f[0, 0] * h[0, 0] + f[0, 1] * h[0, 1] + f[0, 2] * h[0, 2]
-
-
-@njit(cache=True)
-def passive(
-    f: Any, c: Any, kappa: Any, p: Any, stress: Any, tangent: Any, with_tangent: Any
-) -> Any:
-    """Evaluate the passive energy and its derivatives at one point.
-
-    ``W(F, p) = c10 (Ī1 - 3) + c01 (Ī2 - 3) + c20 (Ī1 - 3)² + κ/2 (J - 1)² + p (J - 1)``
-    with ``Ī1 = J^(-2/3) tr C`` and ``Ī2 = J^(-4/3) (tr² C - tr C²) / 2``.
-
-    Parameters
-    ----------
-    f : (3, 3) array
-        Deformation gradient with ``J > 0``.
-    c : (3,) array
-        ``(c10, c01, c20)`` in kPa.
-    kappa, p : float
-        Volumetric stiffness and Lagrange multiplier in kPa.
-    stress : (3, 3) array, written
-        First Piola stress ``P_iK = ∂W/∂F_iK``.
-    tangent : (6, 3, 3) array, written when ``with_tangent``
-        ``[pair (i, j), K, L] = ∂P_iK/∂F_jL``.
-
-    Returns
-    -------
-    energy, J : float
-    """
-    h = np.empty((3, 3))
-    cg = np.empty((3, 3))
-    bg = np.empty((3, 3))
-    d1 = np.empty((3, 3))
-    e2 = np.empty((3, 3))
-    d2 = np.empty((3, 3))
-    det = cofactor(f, h)
-    for i in range(3):
-        for j in range(3):
-            cg[i, j] = f[0, i] * f[0, j] + f[1, i] * f[1, j] + f[2, i] * f[2, j]
-            bg[i, j] = f[i, 0] * f[j, 0] + f[i, 1] * f[j, 1] + f[i, 2] * f[j, 2]
-    i1 = cg[0, 0] + cg[1, 1] + cg[2, 2]
-    i2 = 0.0
-    for i in range(3):
-        for j in range(3):
-            i2 -= cg[i, j] * cg[i, j]
-    i2 = 0.5 * (i1 * i1 + i2)
-    alpha = det ** (-2.0 / 3.0)
-    beta = alpha * alpha
-    i1b = alpha * i1
-    i2b = beta * i2
-    w1 = c[0] + 2.0 * c[2] * (i1b - 3.0)
-    w2 = c[1]
-    w11 = 2.0 * c[2]
-    q = kappa * (det - 1.0) + p
-    for i in range(3):
-        for k in range(3):
-            fc = f[i, 0] * cg[0, k] + f[i, 1] * cg[1, k] + f[i, 2] * cg[2, k]
-            e2[i, k] = 2.0 * (i1 * f[i, k] - fc)
-            d1[i, k] = 2.0 * alpha * f[i, k] - (2.0 / 3.0) * i1b / det * h[i, k]
-            d2[i, k] = beta * e2[i, k] - (4.0 / 3.0) * i2b / det * h[i, k]
-            stress[i, k] = w1 * d1[i, k] + w2 * d2[i, k] + q * h[i, k]
-    energy = (
-        c[0] * (i1b - 3.0)
-        + c[1] * (i2b - 3.0)
-        + c[2] * (i1b - 3.0) ** 2
-        + 0.5 * kappa * (det - 1.0) ** 2
-        + p * (det - 1.0)
-    )
-    if not with_tangent:
-        return energy, det
-    fh = -(4.0 / 3.0) * w1 * alpha / det
-    eh = -(4.0 / 3.0) * w2 * beta / det
-    hh = ((10.0 / 9.0) * w1 * i1b + (28.0 / 9.0) * w2 * i2b) / (det * det) + kappa
-    curl = q - ((2.0 / 3.0) * w1 * i1b + (4.0 / 3.0) * w2 * i2b) / det
-    b2 = 2.0 * w2 * beta
-    unit = 2.0 * w1 * alpha + b2 * i1
-    pair = 0
-    for i in range(3):
-        for j in range(i, 3):
-            for k in range(3):
-                for m in range(3):
-                    value = (
-                        fh * (f[i, k] * h[j, m] + h[i, k] * f[j, m])
-                        + eh * (e2[i, k] * h[j, m] + h[i, k] * e2[j, m])
-                        + hh * h[i, k] * h[j, m]
-                        + w11 * d1[i, k] * d1[j, m]
-                        + b2 * (2.0 * f[i, k] * f[j, m] - f[i, m] * f[j, k])
-                    )
-                    if k == m:
-                        value -= b2 * bg[i, j]
-                        if i == j:
-                            value += unit
-                    if i == j:
-                        value -= b2 * cg[k, m]
-                    tangent[pair, k, m] = value
-            if i != j:
-                # ∂²J/∂F_iK∂F_jL = ε_ijn ε_KLM F_nM
-                n = 3 - i - j
-                s = curl if (i + 1) % 3 == j else -curl
-                tangent[pair, 0, 1] += s * f[n, 2]
-                tangent[pair, 1, 0] -= s * f[n, 2]
-                tangent[pair, 1, 2] += s * f[n, 0]
-                tangent[pair, 2, 1] -= s * f[n, 0]
-                tangent[pair, 2, 0] += s * f[n, 1]
-                tangent[pair, 0, 2] -= s * f[n, 1]
-            pair += 1
-    return energy, det
 
 
 @njit(cache=True)
@@ -217,6 +117,395 @@ def fibre(stretch: Any, activation: Any, slack: Any, law: Any) -> Any:
     return energy, force, stiffness
 
 
+@njit(cache=True)
+def add_curl(f: Any, factor: Any, tangent: Any) -> None:
+    """Add ``factor ∂²J/∂F_iK∂F_jL = factor ε_ijn ε_KLM F_nM`` to the pairs of a tangent."""
+    for pair, n, sign in ((1, 2, 1.0), (2, 1, -1.0), (4, 0, 1.0)):
+        s = sign * factor
+        tangent[pair, 0, 1] += s * f[n, 2]
+        tangent[pair, 1, 0] -= s * f[n, 2]
+        tangent[pair, 1, 2] += s * f[n, 0]
+        tangent[pair, 2, 1] -= s * f[n, 0]
+        tangent[pair, 2, 0] += s * f[n, 1]
+        tangent[pair, 0, 2] -= s * f[n, 1]
+
+
+@njit(cache=True)
+def isochoric(
+    f: Any, h: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any
+) -> Any:
+    """Evaluate ``c10 (Ī1 - 3) + c01 (Ī2 - 3) + c20 (Ī1 - 3)²``, see `passive`.
+
+    ``Ī1 = J^(-2/3) tr C`` and ``Ī2 = J^(-4/3) (tr² C - tr C²) / 2``.
+    """
+    cg = np.empty((3, 3))
+    bg = np.empty((3, 3))
+    d1 = np.empty((3, 3))
+    e2 = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            cg[i, j] = f[0, i] * f[0, j] + f[1, i] * f[1, j] + f[2, i] * f[2, j]
+            bg[i, j] = f[i, 0] * f[j, 0] + f[i, 1] * f[j, 1] + f[i, 2] * f[j, 2]
+    i1 = cg[0, 0] + cg[1, 1] + cg[2, 2]
+    i2 = 0.0
+    for i in range(3):
+        for j in range(3):
+            i2 -= cg[i, j] * cg[i, j]
+    i2 = 0.5 * (i1 * i1 + i2)
+    alpha = det ** (-2.0 / 3.0)
+    beta = alpha * alpha
+    i1b = alpha * i1
+    i2b = beta * i2
+    w1 = c[0] + 2.0 * c[2] * (i1b - 3.0)
+    w2 = c[1]
+    w11 = 2.0 * c[2]
+    for i in range(3):
+        for k in range(3):
+            fc = f[i, 0] * cg[0, k] + f[i, 1] * cg[1, k] + f[i, 2] * cg[2, k]
+            e2[i, k] = 2.0 * (i1 * f[i, k] - fc)
+            d1[i, k] = 2.0 * alpha * f[i, k] - (2.0 / 3.0) * i1b / det * h[i, k]
+            d2 = beta * e2[i, k] - (4.0 / 3.0) * i2b / det * h[i, k]
+            stress[i, k] = w1 * d1[i, k] + w2 * d2
+    energy = c[0] * (i1b - 3.0) + c[1] * (i2b - 3.0) + c[2] * (i1b - 3.0) ** 2
+    if not with_tangent:
+        return energy
+    fh = -(4.0 / 3.0) * w1 * alpha / det
+    eh = -(4.0 / 3.0) * w2 * beta / det
+    hh = ((10.0 / 9.0) * w1 * i1b + (28.0 / 9.0) * w2 * i2b) / (det * det)
+    b2 = 2.0 * w2 * beta
+    unit = 2.0 * w1 * alpha + b2 * i1
+    pair = 0
+    for i in range(3):
+        for j in range(i, 3):
+            for k in range(3):
+                for m in range(3):
+                    value = (
+                        fh * (f[i, k] * h[j, m] + h[i, k] * f[j, m])
+                        + eh * (e2[i, k] * h[j, m] + h[i, k] * e2[j, m])
+                        + hh * h[i, k] * h[j, m]
+                        + w11 * d1[i, k] * d1[j, m]
+                        + b2 * (2.0 * f[i, k] * f[j, m] - f[i, m] * f[j, k])
+                    )
+                    if k == m:
+                        value -= b2 * bg[i, j]
+                        if i == j:
+                            value += unit
+                    if i == j:
+                        value -= b2 * cg[k, m]
+                    tangent[pair, k, m] = value
+            pair += 1
+    add_curl(f, -((2.0 / 3.0) * w1 * i1b + (4.0 / 3.0) * w2 * i2b) / det, tangent)
+    return energy
+
+
+@njit(cache=True)
+def push(f: Any, s: Any, d: Any, stress: Any, tangent: Any, with_tangent: Any) -> None:
+    """Turn the second Piola stress ``S`` and ``D = ∂S/∂E`` into those of `passive`.
+
+    ``P = F S`` and ``∂P_iK/∂F_jL = δ_ij S_KL + F_iM D_MKNL F_jN``.
+    """
+    for i in range(3):
+        for k in range(3):
+            stress[i, k] = f[i, 0] * s[0, k] + f[i, 1] * s[1, k] + f[i, 2] * s[2, k]
+    if not with_tangent:
+        return
+    pair = 0
+    for i in range(3):
+        for j in range(i, 3):
+            for k in range(3):
+                for m in range(3):
+                    value = s[k, m] if i == j else 0.0
+                    for a in range(3):
+                        for b in range(3):
+                            value += f[i, a] * d[a, k, b, m] * f[j, b]
+                    tangent[pair, k, m] = value
+            pair += 1
+
+
+@njit(cache=True)
+def plain(f: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> Any:
+    """Evaluate ``c10 (I1 - 3) + c01 (I2 - 3)``, see `passive`."""
+    cg = np.dot(f.T, f)
+    i1 = cg[0, 0] + cg[1, 1] + cg[2, 2]
+    i2 = 0.5 * (i1 * i1 - (cg * cg).sum())
+    s = np.empty((3, 3))
+    d = np.empty((3, 3, 3, 3))
+    for a in range(3):
+        for b in range(3):
+            s[a, b] = -2.0 * c[1] * cg[a, b]
+            if a == b:
+                s[a, b] += 2.0 * c[0] + 2.0 * c[1] * i1
+            for k in range(3):
+                for m in range(3):
+                    value = 2.0 if a == b and k == m else 0.0
+                    if a == k and b == m:
+                        value -= 1.0
+                    if a == m and b == k:
+                        value -= 1.0
+                    d[a, b, k, m] = 2.0 * c[1] * value
+    push(f, s, d, stress, tangent, with_tangent)
+    return c[0] * (i1 - 3.0) + c[1] * (i2 - 3.0)
+
+
+@njit(cache=True)
+def guccione(f: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> Any:
+    """Evaluate ``C/2 (exp Q - 1)`` of Guccione et al. (1991), see `passive`.
+
+    With the Green strain ``E``, the fibre ``f``, ``a = f·E f`` and ``b = |E f|²``, the form
+    ``Q = bf E_ff² + bt (E_ss² + E_nn² + 2 E_sn²) + 2 bfs (E_fs² + E_fn²)`` is
+    ``(bf + bt - 2 bfs) a² + 2 (bfs - bt) b + bt tr E²``. `c` holds ``C, bf, bt, bfs, f``.
+    """
+    scale, bf, bt, bfs = c[0], c[1], c[2], c[3]
+    n = c[4:7]
+    strain = 0.5 * (np.dot(f.T, f) - np.eye(3))
+    along = np.dot(strain, n)
+    a = np.dot(n, along)
+    ca, cb = bf + bt - 2.0 * bfs, 2.0 * (bfs - bt)
+    form = ca * a * a + cb * np.dot(along, along) + bt * (strain * strain).sum()
+    first = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            first[i, j] = (
+                2.0 * ca * a * n[i] * n[j]
+                + cb * (n[i] * along[j] + along[i] * n[j])
+                + 2.0 * bt * strain[i, j]
+            )
+    factor = 0.5 * scale * np.exp(form)
+    d = np.empty((3, 3, 3, 3))
+    if with_tangent:
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    for m in range(3):
+                        value = first[i, j] * first[k, m] + 2.0 * ca * n[i] * n[j] * n[k] * n[m]
+                        # The strain is symmetric: halves of both orders of its indices.
+                        if i == k:
+                            value += 0.5 * cb * n[j] * n[m]
+                            if j == m:
+                                value += bt
+                        if i == m:
+                            value += 0.5 * cb * n[j] * n[k]
+                            if j == k:
+                                value += bt
+                        if j == k:
+                            value += 0.5 * cb * n[i] * n[m]
+                        if j == m:
+                            value += 0.5 * cb * n[i] * n[k]
+                        d[i, j, k, m] = factor * value
+    push(f, factor * first, d, stress, tangent, with_tangent)
+    return 0.5 * scale * (np.exp(form) - 1.0)
+
+
+@njit(cache=True)
+def square_acosh(y: Any) -> Any:
+    """Return ``acosh² y`` and its first two derivatives, smooth through ``y = 1``."""
+    s = y - 1.0
+    if s < 3e-3:
+        return (
+            s * (2.0 + s * (-1.0 / 3.0 + s * (4.0 / 45.0 + s * (-1.0 / 35.0 + s * 16.0 / 1575.0)))),
+            2.0 + s * (-2.0 / 3.0 + s * (4.0 / 15.0 + s * (-4.0 / 35.0 + s * 16.0 / 315.0))),
+            -2.0 / 3.0 + s * (8.0 / 15.0 + s * (-12.0 / 35.0 + s * 64.0 / 315.0)),
+        )
+    arc = np.arccosh(y)
+    root = y * y - 1.0
+    slope = 2.0 * arc / np.sqrt(root)
+    return arc * arc, slope, (2.0 - y * slope) / root
+
+
+@njit(cache=True)
+def muscle(f: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> Any:
+    """Evaluate the muscle of Blemker et al. (2005), matrix and fibres in one, see `passive`.
+
+    ``G1 B1² + G2 B2² + ψ(λ̄)`` with the shears along and across the fibre ``f``,
+    ``B1² = I5/I4² - 1`` and ``cosh B2 = (I1 I4 - I5) / (2 J √I4)``, and the potential ψ of
+    `fibre` at the isochoric stretch ``λ̄ = J^(-1/3) √I4``. `c` holds ``G1, G2``, activation,
+    slack, the array of the `FibreLaw` and ``f``.
+    """
+    n = c[10:13]
+    cg = np.dot(f.T, f)
+    along = np.dot(cg, n)
+    i1, i4, i5 = cg[0, 0] + cg[1, 1] + cg[2, 2], np.dot(n, along), np.dot(along, along)
+    root = np.sqrt(i4)
+    y = (i1 * i4 - i5) / (2.0 * det * root)
+    g0, g1, g2 = square_acosh(y)
+    stretch = root * det ** (-1.0 / 3.0)
+    psi0, psi1, psi2 = fibre(stretch, c[2], c[3], c[4:10])
+    energy = c[0] * (i5 / i4**2 - 1.0) + c[1] * g0 + psi0
+
+    # Derivatives by the invariants I1, I4, I5 and J.
+    dy = np.array(
+        [
+            root / (2.0 * det),
+            i1 / (2.0 * det * root) - y / (2.0 * i4),
+            -1.0 / (2.0 * det * root),
+            -y / det,
+        ]
+    )
+    dl = np.array([0.0, stretch / (2.0 * i4), 0.0, -stretch / (3.0 * det)])
+    w = c[1] * g1 * dy + psi1 * dl
+    w[1] -= 2.0 * c[0] * i5 / i4**3
+    w[2] += c[0] / i4**2
+    inverse = np.linalg.inv(cg)
+    slopes = np.zeros((4, 3, 3))
+    for i in range(3):
+        slopes[0, i, i] = 1.0
+        for j in range(3):
+            slopes[1, i, j] = n[i] * n[j]
+            slopes[2, i, j] = n[i] * along[j] + along[i] * n[j]
+            slopes[3, i, j] = 0.5 * det * inverse[i, j]
+    s = np.zeros((3, 3))
+    for a in range(4):
+        s += 2.0 * w[a] * slopes[a]
+    d = np.zeros((3, 3, 3, 3))
+    if with_tangent:
+        ddy = np.zeros((4, 4))
+        ddy[0, 1] = 1.0 / (4.0 * det * root)
+        ddy[1, 1] = -i1 / (4.0 * det * root**3) - dy[1] / (2.0 * i4) + y / (2.0 * i4**2)
+        ddy[1, 2] = 1.0 / (4.0 * det * root**3)
+        for a in range(3):
+            ddy[a, 3] = -dy[a] / det
+        ddy[3, 3] = 2.0 * y / det**2
+        ddl = np.zeros((4, 4))
+        ddl[1, 1] = -stretch / (4.0 * i4**2)
+        ddl[1, 3] = -stretch / (6.0 * i4 * det)
+        ddl[3, 3] = 4.0 * stretch / (9.0 * det**2)
+        ww = c[1] * g1 * ddy + psi1 * ddl
+        ww[1, 1] += 6.0 * c[0] * i5 / i4**4
+        ww[1, 2] -= 2.0 * c[0] / i4**3
+        for a in range(4):
+            for b in range(a):
+                ww[a, b] = ww[b, a]
+        for a in range(4):
+            for b in range(4):
+                ww[a, b] += c[1] * g2 * dy[a] * dy[b] + psi2 * dl[a] * dl[b]
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    for m in range(3):
+                        value = 0.0
+                        for a in range(4):
+                            for b in range(4):
+                                value += ww[a, b] * slopes[a, i, j] * slopes[b, k, m]
+                        mixed = 0.0
+                        if j == k:
+                            mixed += n[i] * n[m]
+                        if j == m:
+                            mixed += n[i] * n[k]
+                        if i == k:
+                            mixed += n[j] * n[m]
+                        if i == m:
+                            mixed += n[j] * n[k]
+                        value += 0.5 * w[2] * mixed
+                        value += (
+                            0.25
+                            * w[3]
+                            * det
+                            * (
+                                inverse[i, j] * inverse[k, m]
+                                - inverse[i, k] * inverse[j, m]
+                                - inverse[i, m] * inverse[j, k]
+                            )
+                        )
+                        d[i, j, k, m] = 4.0 * value
+    push(f, s, d, stress, tangent, with_tangent)
+    return energy
+
+
+@njit(cache=True)
+def volumetric(volume: Any, det: Any, kappa: Any, p: Any) -> Any:
+    """Evaluate the part of the energy that depends on ``J`` alone.
+
+    Returns
+    -------
+    energy : float
+    q, slope : float
+        First and second derivative of the energy by ``J``.
+    excess : float
+        What the constraint makes zero on average.
+    share : float
+        ``∂q/∂p``.
+    """
+    if volume == MULTIPLIER:
+        excess = det - 1.0
+        return (0.5 * kappa * excess + p) * excess, kappa * excess + p, kappa, excess, 1.0
+    log = np.log(det)
+    if volume == INVERSE:
+        # The residual of the pressure is not the derivative of this energy, which is 2 ln J.
+        return (
+            2.0 * p * log,
+            2.0 * p / det,
+            -2.0 * p / det**2,
+            2.0 * (det - 1.0),
+            2.0 / det,
+        )
+    return 0.5 * kappa * log**2, kappa * log / det, kappa * (1.0 - log) / det**2, 0.0, 0.0
+
+
+@njit(cache=True)
+def passive(
+    f: Any,
+    law: Any,
+    c: Any,
+    volume: Any,
+    kappa: Any,
+    p: Any,
+    h: Any,
+    stress: Any,
+    tangent: Any,
+    with_tangent: Any,
+) -> Any:
+    """Evaluate the passive energy and its derivatives at one point.
+
+    Parameters
+    ----------
+    f : (3, 3) array
+        Deformation gradient with ``J > 0``.
+    law : int
+        `laws.Law`.
+    c : (n,) array
+        Coefficients of the law.
+    volume : int
+        `laws.Volume`.
+    kappa, p : float
+        Volumetric stiffness and pressure in kPa.
+    h : (3, 3) array, written
+        Cofactor of ``f``.
+    stress : (3, 3) array, written
+        First Piola stress ``P_iK = ∂W/∂F_iK``.
+    tangent : (6, 3, 3) array, written when ``with_tangent``
+        ``[pair (i, j), K, L] = ∂P_iK/∂F_jL``.
+
+    Returns
+    -------
+    energy, J : float
+    excess, share : float
+        As in `volumetric`.
+    """
+    det = cofactor(f, h)
+    if law == ISOCHORIC:
+        energy = isochoric(f, h, det, c, stress, tangent, with_tangent)
+    elif law == PLAIN:
+        energy = plain(f, c, stress, tangent, with_tangent)
+    elif law == GUCCIONE:
+        energy = guccione(f, c, stress, tangent, with_tangent)
+    else:
+        energy = muscle(f, det, c, stress, tangent, with_tangent)
+    more, q, slope, excess, share = volumetric(volume, det, kappa, p)
+    for i in range(3):
+        for k in range(3):
+            stress[i, k] += q * h[i, k]
+    if with_tangent:
+        pair = 0
+        for i in range(3):
+            for j in range(i, 3):
+                for k in range(3):
+                    for m in range(3):
+                        tangent[pair, k, m] += slope * h[i, k] * h[j, m]
+                pair += 1
+        add_curl(f, q, tangent)
+    return energy + more, det, excess, share
+
+
 @njit(cache=True, parallel=True)
 def bulk(
     parameters: Any,
@@ -226,7 +515,9 @@ def bulk(
     gradients: Any,
     psi: Any,
     weights: Any,
+    law: Any,
     coefficients: Any,
+    volume: Any,
     kappa: Any,
     with_tangent: Any,
     residual: Any,
@@ -244,15 +535,17 @@ def bulk(
     pressures : (n_vertices,) array
     params : (e, m) int array
         Global parameter of each function of an element.
-    vertices : (e, 8) int array
-        Pressure of each corner.
+    vertices : (e, 8) or (e, 0) int array
+        Pressure of each corner; none where volume is a matter of energy alone.
     gradients : (e, 3 q, m) array
         ``[e, 3 g + K, a] = ∂N_a/∂X_K`` at Gauss point ``g``.
-    psi : (q, 8) array
+    psi : (q, 8) or (q, 0) array
         Trilinear functions at the Gauss points.
     weights : (e, q) array
         Reference volumes in mm³.
-    coefficients : (e, q, 3) array
+    law, volume : int
+        As in `passive`.
+    coefficients : (e, q, n) array
     kappa : float
     residual, tangent, coupling, pressure_residual : arrays, overwritten
     volume_ratio : (e, q) array, overwritten
@@ -265,6 +558,7 @@ def bulk(
     """
     n_elements, m = params.shape
     n_points = weights.shape[1]
+    n_corners = vertices.shape[1]
     energies = np.zeros(n_elements)
     for e in prange(n_elements):
         g = gradients[e]
@@ -272,13 +566,14 @@ def bulk(
         for a in range(m):
             for i in range(3):
                 x[a, i] = parameters[params[e, a], i]
-        p = np.empty(8)
-        for s in range(8):
+        p = np.empty(n_corners)
+        for s in range(n_corners):
             p[s] = pressures[vertices[e, s]]
         deformation = np.dot(g, x)
         stresses = np.zeros((3 * n_points, 3))
         stress = np.empty((3, 3))
         f = np.empty((3, 3))
+        h = np.empty((3, 3))
         moduli = np.zeros((n_points, 6, 3, 3))
         cofactors = np.zeros((3, n_points, 3))
         excess = np.zeros(n_points)
@@ -295,25 +590,29 @@ def bulk(
             if not det > 1e-6:
                 continue
             pressure = 0.0
-            for s in range(8):
+            for s in range(n_corners):
                 pressure += psi[q, s] * p[s]
-            density, det = passive(
-                f, coefficients[e, q], kappa, pressure, stress, moduli[q], with_tangent
+            density, det, rise, share = passive(
+                f,
+                law,
+                coefficients[e, q],
+                volume,
+                kappa,
+                pressure,
+                h,
+                stress,
+                moduli[q],
+                with_tangent,
             )
             energies[e] += w * density
-            excess[q] = w * (det - 1.0)
+            excess[q] = w * rise
             for k in range(3):
                 for i in range(3):
                     stresses[3 * q + k, i] = w * stress[i, k]
-            for i in range(3):
-                a = (i + 1) % 3
-                b = (i + 2) % 3
-                for k in range(3):
-                    c = (k + 1) % 3
-                    d = (k + 2) % 3
-                    cofactors[i, q, k] = w * (f[a, c] * f[b, d] - f[a, d] * f[b, c])
+                    cofactors[i, q, k] = w * share * h[i, k]
         residual[e] = np.dot(g.T, stresses)
-        pressure_residual[e] = np.dot(psi.T, excess)
+        if n_corners:
+            pressure_residual[e] = np.dot(psi.T, excess)
         if with_tangent:
             scaled = np.empty((3 * n_points, m))
             for pair in range(6):
@@ -328,6 +627,8 @@ def bulk(
                                 t0 * g[3 * q, a] + t1 * g[3 * q + 1, a] + t2 * g[3 * q + 2, a]
                             )
                 np.dot(g.T, scaled, tangent[e, pair])
+            if n_corners == 0:
+                continue
             normal = np.empty((n_points, m))
             for i in range(3):
                 for q in range(n_points):
@@ -373,43 +674,55 @@ def scatter_points(
     Parameters
     ----------
     starts : (e + 1,) int array
-        Points of element ``e`` are ``starts[e] : starts[e + 1]``.
-    functions : (n, m) array
-    forces : (n, 3) array
-        Derivative of the energy by the functional's value.
-    stiffness : (n, 6) array
+        Rows of element ``e`` are ``starts[e] : starts[e + 1]``.
+    functions : (n k, m) array
+        The ``k`` functionals of a point one after the other.
+    forces : (n, k, 3) array
+        Derivative of the energy by the functionals' values.
+    stiffness : (n, 6, k, k) array
         Second derivatives for the six component pairs.
     residual, tangent : arrays, added to
     """
     m = functions.shape[1]
+    width = forces.shape[1]
     for e in prange(len(starts) - 1):
-        chosen = np.empty(starts[e + 1] - starts[e], np.int64)
+        first, last = starts[e] // width, starts[e + 1] // width
+        chosen = np.empty(last - first, np.int64)
         n = 0
-        for point in range(starts[e], starts[e + 1]):
+        for point in range(first, last):
             acts = False
-            for i in range(3):
-                acts = acts or forces[point, i] != 0.0
-            for i in range(6):
-                acts = acts or stiffness[point, i] != 0.0
+            for c in range(width):
+                for i in range(3):
+                    acts = acts or forces[point, c, i] != 0.0
+                for i in range(6):
+                    for d in range(width):
+                        acts = acts or stiffness[point, i, c, d] != 0.0
             if acts:
                 chosen[n] = point
                 n += 1
         if n == 0:
             continue
-        s = np.empty((n, m))
-        force = np.empty((n, 3))
-        for row in range(n):
-            s[row] = functions[chosen[row]]
-            force[row] = forces[chosen[row]]
+        s = np.empty((n * width, m))
+        force = np.empty((n * width, 3))
+        for k in range(n):
+            for c in range(width):
+                s[k * width + c] = functions[chosen[k] * width + c]
+                force[k * width + c] = forces[chosen[k], c]
         residual[e] += np.dot(s.T, force)
         if with_tangent:
-            scaled = np.empty((n, m))
+            scaled = np.empty((n * width, m))
             block = np.empty((m, m))
             for pair in range(6):
-                for row in range(n):
-                    c = stiffness[chosen[row], pair]
-                    for a in range(m):
-                        scaled[row, a] = c * s[row, a]
+                for k in range(n):
+                    for c in range(width):
+                        row = k * width + c
+                        factor = stiffness[chosen[k], pair, c, 0]
+                        for a in range(m):
+                            scaled[row, a] = factor * s[k * width, a]
+                        for d in range(1, width):
+                            factor = stiffness[chosen[k], pair, c, d]
+                            for a in range(m):
+                                scaled[row, a] += factor * s[k * width + d, a]
                 np.dot(s.T, scaled, block)
                 for a in range(m):
                     for b in range(m):

@@ -6,7 +6,8 @@ is a small compiled function here, so that the equations stand in one place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,65 @@ Array = NDArray[np.float64]
 
 #: Component pairs (i, j) with i <= j, in the order in which 3 × 3 blocks are stored.
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+class Law(IntEnum):
+    """Which passive energy the coefficients of a problem belong to.
+
+    Attributes
+    ----------
+    ISOCHORIC
+        ``c10 (Ī1 - 3) + c01 (Ī2 - 3) + c20 (Ī1 - 3)²`` of `Coefficients`: the face.
+    PLAIN
+        ``c10 (I1 - 3) + c01 (I2 - 3)`` of `Coefficients`, with the invariants as they are.
+    GUCCIONE
+        Heart muscle, `Guccione`.
+    MUSCLE
+        Skeletal muscle, matrix and fibres in one, `Muscle`.
+    """
+
+    ISOCHORIC = 0
+    PLAIN = 1
+    GUCCIONE = 2
+    MUSCLE = 3
+
+
+class Volume(IntEnum):
+    """How the volume is held.
+
+    Attributes
+    ----------
+    MULTIPLIER
+        ``p (J - 1) + κ/2 (J - 1)²``: the face.
+    INVERSE
+        The stress ``2 p C⁻¹`` with the constraint ``J = 1``. The two do not derive from one
+        energy; the tangent takes ``2/J`` for 2 in the constraint and stays symmetric, so that
+        corrections contract by about ``|J - 1|``.
+    LOGARITHM
+        ``κ/2 ln² J`` without a pressure: compressible.
+    """
+
+    MULTIPLIER = 0
+    INVERSE = 1
+    LOGARITHM = 2
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """The form of a problem's passive energy; by default that of the face.
+
+    Attributes
+    ----------
+    law : Law
+    volume : Volume
+    """
+
+    law: Law = Law.ISOCHORIC
+    volume: Volume = Volume.MULTIPLIER
+
+
+#: Numbers that a law needs at a point.
+WIDTHS = {Law.ISOCHORIC: 3, Law.PLAIN: 3, Law.GUCCIONE: 7, Law.MUSCLE: 13}
 
 
 @dataclass(frozen=True)
@@ -112,3 +172,64 @@ class FibreLaw:
         return np.array(
             [self.sigma_max, self.optimal, self.p1, self.p2, self.linear_from, self.toe]
         )
+
+
+@dataclass(frozen=True)
+class Guccione:
+    """Transversely isotropic heart muscle of Guccione et al. (1991).
+
+    ``W = C/2 (exp Q - 1)`` with
+    ``Q = bf E_ff² + bt (E_ss² + E_nn² + E_sn² + E_ns²) + bfs (E_fs² + E_sf² + E_fn² + E_nf²)``.
+
+    Attributes
+    ----------
+    c : float
+        In kPa.
+    bf, bt, bfs : float
+    """
+
+    c: float
+    bf: float
+    bt: float
+    bfs: float
+
+    def array(self, directions: ArrayLike) -> Array:
+        """Return the coefficients at points with unit fibre directions (..., 3); (..., 7)."""
+        return _at_fibres(np.array([self.c, self.bf, self.bt, self.bfs]), directions)
+
+
+@dataclass(frozen=True)
+class Muscle:
+    """Skeletal muscle of Blemker et al. (2005): matrix and fibres as one material.
+
+    ``W = G1 B1² + G2 B2² + ψ(λ̄)`` with the shears along and across the fibre, and the fibre's
+    potential at the isochoric stretch.
+
+    Attributes
+    ----------
+    g1, g2 : float
+        Shear moduli along and across the fibre in kPa.
+    fibre : FibreLaw
+    activation : float
+        0..1.
+    slack : float
+        Stretch from which the passive fibre is taut.
+    """
+
+    g1: float
+    g2: float
+    fibre: FibreLaw = field(default_factory=FibreLaw)
+    activation: float = 0.0
+    slack: float = 1.0
+
+    def array(self, directions: ArrayLike) -> Array:
+        """Return the coefficients at points with unit fibre directions (..., 3); (..., 13)."""
+        head = np.array([self.g1, self.g2, self.activation, self.slack, *self.fibre.array()])
+        return _at_fibres(head, directions)
+
+
+def _at_fibres(head: Array, directions: ArrayLike) -> Array:
+    directions = np.asarray(directions, dtype=float)
+    return np.concatenate(
+        [np.broadcast_to(head, (*directions.shape[:-1], len(head))), directions], axis=-1
+    )

@@ -13,7 +13,7 @@ from ..errors import InputError, unknown_name
 from ..hermite import HermiteMesh, basis, gauss
 from . import kernels
 from .assembly import Assembly, Pattern
-from .laws import Array
+from .laws import WIDTHS, Array, Formulation, Volume
 from .terms import Fibres, Load, PointTerm
 
 IntArray = NDArray[np.int64]
@@ -125,6 +125,8 @@ class State:
 
     def pressure_at(self, elements: ArrayLike, xi: ArrayLike) -> Array:
         """Return the Lagrange multiplier in kPa at points of the mesh, (n,)."""
+        if not len(self.pressure):
+            return np.zeros(len(np.asarray(elements)))
         corners = self.pressure[self.vertices[np.asarray(elements)]]
         return np.asarray((trilinear(xi) * corners).sum(axis=1))
 
@@ -163,9 +165,14 @@ class Problem:
     mesh : HermiteMesh
         Tissue at rest, of dimension 3.
     coefficients : (3,) or (n_elements, q, 3) array
-        ``(c10, c01, c20)`` in kPa, at each Gauss point of `gauss_points` or everywhere.
+        ``(c10, c01, c20)`` in kPa, at each Gauss point of `gauss_points` or everywhere. Other
+        laws have other numbers of coefficients; their classes in `laws` make the array.
     kappa : float
         Volumetric stiffness in kPa beside the pressure.
+    formulation : Formulation, optional
+        Law and treatment of the volume; by default those of the face.
+    gauss_order : int
+        Gauss points a direction.
     terms : sequence of PointTerm
     fixed : (n_params, 3) bool array, optional
         Parameters that do not move except as prescribed.
@@ -182,6 +189,8 @@ class Problem:
         coefficients: ArrayLike,
         *,
         kappa: float = 50.0,
+        formulation: Formulation | None = None,
+        gauss_order: int = GAUSS,
         terms: Sequence[PointTerm] = (),
         fixed: NDArray[np.bool_] | None = None,
     ) -> None:
@@ -190,11 +199,14 @@ class Problem:
         self.mesh = mesh
         self.terms = tuple(terms)
         self.kappa = float(kappa)
+        self.formulation = Formulation() if formulation is None else formulation
         self.fixed = np.zeros((mesh.n_params, 3), dtype=bool) if fixed is None else fixed
         self.vertices, first = mesh.corner_nodes()
         n_vertices = len(first)
+        if self.formulation.volume == Volume.LOGARITHM:
+            self.vertices, n_vertices = self.vertices[:, :0], 0
 
-        xi, weights = gauss(3, GAUSS)
+        xi, weights = gauss(3, gauss_order)
         e, q = mesh.n_elements, len(weights)
         hosts = np.repeat(np.arange(e), 64)
         self.pattern = Pattern.from_functions(mesh.extraction, hosts, e, self.vertices)
@@ -214,10 +226,12 @@ class Problem:
         for element in range(e):
             local = np.einsum("kql,qkK->qKl", slopes, inverse[element], optimize=True)
             self._gradients[element] = local.reshape(3 * q, 64) @ extraction[element]
-        self._psi = trilinear(xi)
+        self._psi = np.ascontiguousarray(trilinear(xi)[:, : self.vertices.shape[1]])
         self.weights = weights * volume
         self._coefficients = np.ascontiguousarray(
-            np.broadcast_to(np.asarray(coefficients, dtype=float), (e, q, 3))
+            np.broadcast_to(
+                np.asarray(coefficients, dtype=float), (e, q, WIDTHS[self.formulation.law])
+            )
         )
 
         patterns = [self.pattern]
@@ -227,10 +241,11 @@ class Problem:
             if own is not None:
                 patterns.append(own)
             pattern = self.pattern if own is None else own
-            counts = np.bincount(term.hosts, minlength=len(pattern.params))
+            rows = np.repeat(term.hosts, term.width)
+            counts = np.bincount(rows, minlength=len(pattern.params))
             starts = np.concatenate([[0], np.cumsum(counts)])
             group = 0 if own is None else len(patterns) - 1
-            self._bound.append((term, group, pattern.dense(term.functions, term.hosts), starts))
+            self._bound.append((term, group, pattern.dense(term.functions, rows), starts))
         self.assembly = Assembly(patterns, self.fixed, n_vertices)
         squares = np.einsum("eq,eqa->ea", self.weights, (basis(3, xi) @ extraction) ** 2)
         mass = np.bincount(self.pattern.params.ravel(), squares.ravel(), minlength=mesh.n_params)
@@ -238,9 +253,9 @@ class Problem:
         self._mass = mass[number] / self.weights.sum()
 
     @staticmethod
-    def gauss_points(mesh: HermiteMesh) -> tuple[IntArray, Array]:
+    def gauss_points(mesh: HermiteMesh, gauss_order: int = GAUSS) -> tuple[IntArray, Array]:
         """Return the points at which coefficients are given: elements (e q,), xi (e q, 3)."""
-        elements, xi, _ = mesh.gauss_points(GAUSS)
+        elements, xi, _ = mesh.gauss_points(gauss_order)
         return elements, xi
 
     @property
@@ -330,7 +345,9 @@ class Problem:
                     self._gradients,
                     self._psi,
                     self.weights,
+                    int(self.formulation.law),
                     self._coefficients,
+                    int(self.formulation.volume),
                     self.kappa,
                     tangent,
                     base.residual,
@@ -344,13 +361,15 @@ class Problem:
         for term, number, functions, starts in self._bound:
             group = self.assembly.groups[number]
             vectors = kernels.evaluate(parameters, group.pattern.params, starts, functions)
+            if term.width > 1:
+                vectors = vectors.reshape(-1, term.width, 3)
             answer = term.respond(vectors, load, convex)
             energies[term.name] = energies.get(term.name, 0.0) + float(answer.energies.sum())
             kernels.scatter_points(
                 starts,
                 functions,
-                answer.forces,
-                answer.stiffness,
+                answer.forces.reshape(-1, term.width, 3),
+                answer.stiffness.reshape(-1, 6, term.width, term.width),
                 tangent,
                 group.residual,
                 group.tangent,

@@ -1,7 +1,8 @@
 """Terms of the energy that live at points: fibres and springs.
 
 Every such term is an energy of one vector a point, ``v = Σ_a s_a x_a``, linear in the
-parameters ``x``: a position, a fibre vector ``F f0`` or the difference of two positions.
+parameters ``x``: a position, a fibre vector ``F f0`` or the difference of two positions; or of
+several vectors, such as a position and the tangents of its surface.
 A term says what its functionals ``s`` are and returns energy, force ``∂e/∂v`` and
 stiffness ``∂²e/∂v²``; the element arrays follow from these alone.
 """
@@ -17,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from ..hermite import HermiteMesh
+from ..hermite import HermiteMesh, gauss
 from . import kernels
 from .assembly import Pattern
 from .laws import Array, FibreLaw
@@ -37,26 +38,38 @@ class Load:
         Displacement of the fixed parameters in mm; zero by default.
     jaw : float
         Angle in radians by which the jaw is open.
+    forces : mapping of str to float
+        Factor of each `DeadForces`, `FollowerPressure` and `Tension` by its name; 0 for those
+        not named.
     """
 
     activations: Mapping[str, float] = field(default_factory=dict)
     prescribed: Array | None = None
     jaw: float = 0.0
+    forces: Mapping[str, float] = field(default_factory=dict)
 
     def towards(self, target: Load, fraction: float) -> Load:
         """Return the load a fraction of the way to ``target``."""
-        names = {*self.activations, *target.activations}
-        activations = {
-            name: (1.0 - fraction) * self.activations.get(name, 0.0)
-            + fraction * target.activations.get(name, 0.0)
-            for name in sorted(names)
-        }
-        jaw = (1.0 - fraction) * self.jaw + fraction * target.jaw
-        if self.prescribed is None and target.prescribed is None:
-            return Load(activations, jaw=jaw)
-        start = 0.0 if self.prescribed is None else self.prescribed
-        end = 0.0 if target.prescribed is None else target.prescribed
-        return Load(activations, np.asarray((1.0 - fraction) * start + fraction * end), jaw)
+        prescribed: Array | None = None
+        if self.prescribed is not None or target.prescribed is not None:
+            start = 0.0 if self.prescribed is None else self.prescribed
+            end = 0.0 if target.prescribed is None else target.prescribed
+            prescribed = np.asarray((1.0 - fraction) * start + fraction * end)
+        return Load(
+            _between(self.activations, target.activations, fraction),
+            prescribed,
+            (1.0 - fraction) * self.jaw + fraction * target.jaw,
+            _between(self.forces, target.forces, fraction),
+        )
+
+
+def _between(
+    start: Mapping[str, float], end: Mapping[str, float], fraction: float
+) -> dict[str, float]:
+    return {
+        name: (1.0 - fraction) * start.get(name, 0.0) + fraction * end.get(name, 0.0)
+        for name in sorted({*start, *end})
+    }
 
 
 @dataclass(frozen=True)
@@ -67,9 +80,9 @@ class Response:
     ----------
     energies : (n,) array
         In mN mm.
-    forces : (n, 3) array
-        Derivative by the vector.
-    stiffness : (n, 6) array
+    forces : (n, 3) or (n, width, 3) array
+        Derivative by the vectors.
+    stiffness : (n, 6) or (n, 6, width, width) array
         Second derivatives, component pairs 00, 01, 02, 11, 12, 22.
     """
 
@@ -85,12 +98,14 @@ class PointTerm(ABC):
     ----------
     name : str
         For messages and reports.
-    functions : CSR matrix (n, n_params)
-        The functional of each point.
+    functions : CSR matrix (n width, n_params)
+        The functionals of each point, one point after the other.
     hosts : (n,) int array
         Element of each point, ascending.
     """
 
+    #: Number of vectors a point.
+    width: int = 1
     name: str
     functions: sp.csr_matrix
     hosts: IntArray
@@ -107,6 +122,8 @@ class PointTerm(ABC):
     @abstractmethod
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate energy, force and stiffness for the points' vectors (n, 3).
+
+        The vectors are (n, width, 3) where a point has several.
 
         With ``convex`` the stiffness has no negative part: far from equilibrium that part
         leads Newton's method astray.
@@ -248,7 +265,7 @@ class Springs(PointTerm):
         Of each point, in mN/mm.
     name : str
     carry : callable, optional
-        Takes the places (n, 3) of the anchors at rest and a load to where the load takes them.
+        Takes the anchors at rest (n, 3) and returns what takes a load to the anchors' places.
     """
 
     def __init__(
@@ -258,7 +275,7 @@ class Springs(PointTerm):
         xi: ArrayLike,
         stiffness: ArrayLike,
         name: str = "springs",
-        carry: Callable[[Array, Load], Array] | None = None,
+        carry: Callable[[Array], Callable[[Load], Array]] | None = None,
     ) -> None:
         order = by_host(elements)
         elements = np.asarray(elements)[order]
@@ -268,15 +285,165 @@ class Springs(PointTerm):
         if not (self.stiffness >= 0.0).all():
             raise InputError(f"{name}: a stiffness is negative or NaN; give values from 0 up")
         self.rest = np.asarray(self.functions @ mesh.parameters)
-        self.carry = carry
+        self.anchors = None if carry is None else carry(self.rest)
 
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate ``k/2 |x - X|²``, with X where the load has taken the anchor."""
-        moved = vectors - (self.rest if self.carry is None else self.carry(self.rest, load))
+        moved = vectors - (self.rest if self.anchors is None else self.anchors(load))
         k = self.stiffness
         zero = np.zeros_like(k)
         return Response(
             0.5 * k * (moved**2).sum(axis=1),
             k[:, None] * moved,
+            np.stack([k, zero, zero, k, zero, k], axis=1),
+        )
+
+
+class DeadForces(PointTerm):
+    """Forces that keep their size and direction: weight, tractions on the surface at rest.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest.
+    elements, xi : (n,), (n, 3) arrays
+    forces : (n, 3) array
+        Of each point in mN, for a factor of 1 in `Load.forces`.
+    name : str
+    """
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        elements: ArrayLike,
+        xi: ArrayLike,
+        forces: ArrayLike,
+        name: str = "weight",
+    ) -> None:
+        order = by_host(elements)
+        elements = np.asarray(elements)[order]
+        super().__init__(name, mesh.functions(elements, np.asarray(xi)[order]), elements)
+        self.forces = np.asarray(forces, dtype=float)[order]
+        self.rest = np.asarray(self.functions @ mesh.parameters)
+
+    @classmethod
+    def body(cls, mesh: HermiteMesh, density: ArrayLike, name: str = "weight") -> DeadForces:
+        """Return a force per volume at rest in mN/mm³, (3,), in the whole tissue."""
+        rule = mesh.quadrature()
+        forces = rule.weights[:, None] * np.asarray(density, dtype=float)
+        return cls(mesh, rule.elements, rule.xi, forces, name)
+
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
+        """Evaluate ``-f · (x - X)``."""
+        forces = -load.forces.get(self.name, 0.0) * self.forces
+        energies = (forces * (vectors - self.rest)).sum(axis=1)
+        return Response(energies, forces, np.zeros((len(vectors), 6)))
+
+
+class FollowerPressure(PointTerm):
+    """A pressure that stays normal to a deforming surface.
+
+    The residual is ``P ∫ N_a x,1 × x,2 dξ``. The stiffness is its symmetric part, which is all
+    of it where the edge of the surface is fixed or the surface is closed; elsewhere Newton's
+    method converges linearly. The energy is ``P/3 ∫ x · (x,1 × x,2) dξ``, pressure times the
+    volume of the cone over the surface, of which the residual is the derivative in the same
+    cases.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest.
+    elements : (n,) int array
+    axis, side : int
+        The pressure, ``Load.forces`` in kPa, pushes on the faces where ``xi_axis`` equals
+        `side`.
+    n : int
+        Gauss points a direction.
+    name : str
+    """
+
+    width = 3
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        elements: ArrayLike,
+        axis: int,
+        side: int,
+        n: int = 5,
+        name: str = "pressure",
+    ) -> None:
+        elements = np.sort(np.asarray(elements, dtype=np.int64))
+        plane, weights = gauss(2, n)
+        points = np.tile(np.insert(plane, axis, float(side), axis=1), (len(elements), 1))
+        hosts = np.repeat(elements, len(weights))
+        # The first tangent crossed with the second points outwards.
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        if side == 0:
+            first, second = second, first
+        units = np.eye(3, dtype=int)
+        rows = [
+            mesh.functions(hosts, points, orders)
+            for orders in ((0, 0, 0), units[first], units[second])
+        ]
+        order = np.arange(3 * len(hosts)).reshape(3, -1).T.ravel()
+        super().__init__(name, sp.csr_matrix(sp.vstack(rows, format="csr")[order]), hosts)
+        self.weights = np.tile(weights, len(elements))
+
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
+        """Evaluate the force of the pressure and the symmetric part of its stiffness."""
+        factors = load.forces.get(self.name, 0.0) * self.weights
+        place, first, second = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+        area = factors[:, None] * np.cross(first, second)
+        forces = np.zeros_like(vectors)
+        forces[:, 0] = area
+        stiffness = np.zeros((len(vectors), 6, 3, 3))
+        for pair, k, sign in ((1, 2, 0.5), (2, 1, -0.5), (4, 0, 0.5)):
+            for column, tangent in ((1, second), (2, -first)):
+                value = sign * factors * tangent[:, k]
+                stiffness[:, pair, 0, column] = value
+                stiffness[:, pair, column, 0] = -value
+        return Response((area * place).sum(axis=1) / 3.0, forces, stiffness)
+
+
+class Tension(PointTerm):
+    """A constant second Piola stress ``T`` along fibres: ``ψ = T/2 |F f0|²``.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest.
+    elements, xi : (n,), (n, 3) arrays
+    weights : (n,) array
+        Reference volume of each point in mm³.
+    directions : (n, 3) array
+        Unit fibre directions at rest.
+    name : str
+        Of the tension in kPa in `Load.forces`.
+    """
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        elements: ArrayLike,
+        xi: ArrayLike,
+        weights: ArrayLike,
+        directions: ArrayLike,
+        name: str = "tension",
+    ) -> None:
+        order = by_host(elements)
+        elements = np.asarray(elements)[order]
+        directions = np.asarray(directions, dtype=float)[order]
+        functions = fibre_functions(mesh, elements, np.asarray(xi)[order], directions)
+        super().__init__(name, functions, elements)
+        self.weights = np.asarray(weights, dtype=float)[order]
+
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
+        """Evaluate ``T/2 |v|²``."""
+        k = load.forces.get(self.name, 0.0) * self.weights
+        zero = np.zeros_like(k)
+        return Response(
+            0.5 * k * (vectors**2).sum(axis=1),
+            k[:, None] * vectors,
             np.stack([k, zero, zero, k, zero, k], axis=1),
         )
