@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import InputError
 from ..face.head import Head
+from ..face.jaw import FOLLOWERS, Jaw
+from ..face.tissue import Side
 from .constraints import clamp, symmetry_plane
 from .contact import PairContact, RigidContact, face_points
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
 from .problem import Problem
-from .terms import FibreQuadrature, Fibres, PointTerm, Springs
+from .terms import FibreQuadrature, Fibres, Load, PointTerm, Springs
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ SLIDING = ("skull", "mandible")
 
 
 def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
-    """Set up the equilibrium of a head's half face.
+    """Set up the equilibrium of a head's half face, or of both sides of `Head.whole`.
 
     Parameters
     ----------
@@ -61,27 +64,80 @@ def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
     Returns
     -------
     Problem
-        Driven by the activations of the head's muscles.
+        Driven by the activations of the head's muscles; `face_load` opens the jaw as well.
     """
     settings = FaceSettings() if settings is None else settings
     mesh = head.tissue
     coefficients = mix(head.fraction, MUSCLE[settings.muscle], FAT)
     knot = head.firmness[..., None]
     coefficients = (1.0 - knot) * coefficients + knot * np.array([settings.modiolus, 0.0, 0.0])
-    fixed = symmetry_plane(mesh, *head.sides["midplane"])
-    for name in ("ear", "neck", "scalp"):
-        fixed = fixed | clamp(mesh, *head.sides[name])
+    fixed = np.zeros((mesh.n_params, 3), dtype=bool)
+    if head.half is None:
+        fixed |= symmetry_plane(mesh, *head.sides["midplane"])
+    for _, cut in cuts(head):
+        fixed |= clamp(mesh, *cut)
     terms: list[PointTerm] = [fibres(head, settings), *_springs(head)]
     terms += [*_deep_contacts(head, settings), *_slit_contacts(head, settings)]
     return Problem(mesh, coefficients, kappa=settings.kappa, terms=terms, fixed=fixed)
 
 
+def cuts(head: Head) -> Iterator[tuple[str, Side]]:
+    """Yield the sides along which the tissue has been cut out of the head."""
+    for name, side in head.sides.items():
+        if name.partition("_")[0] in ("ear", "neck", "scalp"):
+            yield name, side
+
+
+def face_load(
+    problem: Problem, head: Head, activations: Mapping[str, float], jaw_open: float = 0.0
+) -> Load:
+    """Return the load of activations and an open jaw.
+
+    What holds the tissue follows the jaw where it is tied to it: the cuts at the ear and the neck
+    move by the share of `Jaw.share`.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of `face_problem`.
+    head : Head
+        The same.
+    activations : mapping of str to float
+        0..1 by muscle.
+    jaw_open : float
+        Angle in radians, see `modiolus.face.jaw.opening`.
+
+    Raises
+    ------
+    InputError
+        If a muscle is not known, an activation is not within 0..1, or the head has no jaw.
+    """
+    load = problem.load(activations)
+    if jaw_open == 0.0:
+        return load
+    if head.jaw is None:
+        raise InputError(f"{head.name}: the head has no mandible; leave its jaw closed")
+    mesh = problem.mesh
+    faces = [face_points(mesh, *cut)[:2] for _, cut in cuts(head)]
+    elements, xi = (np.concatenate(part) for part in zip(*faces, strict=True))
+    points = mesh.evaluate(elements, xi)
+    moved = head.jaw.displacement(points, jaw_open, head.jaw.share(points))
+    held = np.unique(np.concatenate([mesh.face_parameters(*cut)[0] for _, cut in cuts(head)]))
+    functions = mesh.functions(elements, xi)[:, held].toarray()
+    prescribed = np.zeros(mesh.parameters.shape)
+    prescribed[held] = np.linalg.lstsq(functions, moved, rcond=None)[0]
+    if head.half is None:
+        prescribed[symmetry_plane(mesh, *head.sides["midplane"])] = 0.0
+    return replace(load, prescribed=prescribed, jaw=jaw_open)
+
+
 def fibres(head: Head, settings: FaceSettings) -> Fibres:
     """Embed the muscles: their own quadrature points, located once in the tissue."""
     parts = []
-    for index, muscle in enumerate(head.muscles.values()):
+    half = head.half or head
+    for index, muscle in enumerate(half.muscles.values()):
         rule = muscle.quadrature()
-        place = head.tissue.locate(rule.points)
+        place = half.tissue.locate(rule.points)
         inside = place.distance < 0.05
         parts.append(
             FibreQuadrature(
@@ -94,12 +150,42 @@ def fibres(head: Head, settings: FaceSettings) -> Fibres:
         )
     slacks = {name: muscle.slack for name, muscle in head.muscles.items()}
     law = FibreLaw(sigma_max=settings.sigma_max)
-    return Fibres(head.tissue, FibreQuadrature.concatenate(parts), list(head.muscles), law, slacks)
+    quadrature = FibreQuadrature.concatenate(parts)
+    if head.half is not None:
+        quadrature = both_sides(quadrature, head.half)
+    return Fibres(head.tissue, quadrature, list(head.muscles), law, slacks)
+
+
+def both_sides(quadrature: FibreQuadrature, half: Head) -> FibreQuadrature:
+    """Return the points of a half's muscles and their images, in the order of the whole's."""
+    elements, xi = half.both.points(quadrature.elements, quadrature.xi)
+    left = replace(quadrature, muscles=2 * quadrature.muscles)
+    right = FibreQuadrature(
+        elements,
+        xi,
+        quadrature.weights,
+        quadrature.directions * [-1.0, 1.0, 1.0],
+        2 * quadrature.muscles + 1,
+    )
+    return FibreQuadrature.concatenate([left, right])
 
 
 def _springs(head: Head) -> Iterator[Springs]:
+    def carry(rest: Array) -> Callable[[Load], Array]:
+        jaw = head.jaw
+        assert jaw is not None
+        share = jaw.share(rest)
+        return lambda load: np.asarray(rest + jaw.displacement(rest, load.jaw, share))
+
     for item in head.attachments.values():
-        yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "attachments")
+        yield Springs(
+            head.tissue,
+            item.elements,
+            item.xi,
+            item.stiffness,
+            "attachments",
+            None if head.jaw is None else carry,
+        )
 
 
 def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]:
@@ -107,21 +193,29 @@ def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]
     elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
     points = head.tissue.evaluate(elements, xi)
     for name, surface in head.deep.items():
-        distance = surface.distance.sample(points).distance
+        distance = head.distance(name).sample(points).distance
         near = distance < surface.distance.band - 0.2
         if not near.any():
             continue
         slide = settings.slide * (distance[near] < settings.reach) * (name in SLIDING)
         yield RigidContact(
             head.tissue,
-            surface.distance,
+            head.distance(name),
             elements[near],
             xi[near],
             areas[near],
             settings.contact,
             slide=slide,
             name=f"contact with {name}",
+            motion=_motion(head.jaw, FOLLOWERS.get(name, 0.0)),
         )
+
+
+def _motion(jaw: Jaw | None, share: float) -> Callable[[Load], tuple[Array, Array]] | None:
+    """Return how a deep structure that follows the jaw by a share of its angle moves."""
+    if jaw is None or share == 0.0:
+        return None
+    return lambda load: jaw.pose(share * load.jaw)
 
 
 def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[PairContact]:
