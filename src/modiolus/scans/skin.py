@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -130,6 +131,7 @@ class Skin:
     """
 
     def __init__(self, head: Head) -> None:
+        head = head if head.half is None else head.half
         self.head = head
         names = ["outer", "lip_upper", "lip_lower", "lid_upper", "lid_lower"]
         sides = [head.sides[name] for name in names]
@@ -199,9 +201,19 @@ class Skin:
         return Mirror.of(rest, self.pieces.cells, self.head.midplane)
 
     def surface(self, parameters: Array) -> Surface:
-        """Return both halves as triangles."""
-        points = self.mirror.points(self.pieces.points(parameters))
-        return Surface(points, self.mirror.faces, self.head.name)
+        """Return both sides as triangles.
+
+        Parameters
+        ----------
+        parameters : (n_params, 3) array
+            Of the tissue, one half or both.
+        """
+        left, right = (self.pieces.points(half) for half in self.head.halves(parameters))
+        mirror = self.mirror
+        points = mirror.points(left)
+        other = mirror.reflected
+        points[other] = mirror.points(right)[other]
+        return Surface(points, mirror.faces, self.head.name)
 
     def state(self, parameters: Array) -> SkinState:
         """Return the skin in a state, to project on.
@@ -209,15 +221,20 @@ class Skin:
         Parameters
         ----------
         parameters : (n_params, 3) array
-            Of the tissue.
+            Of the tissue, one half or both.
         """
         return SkinState(self, np.asarray(parameters, dtype=float))
 
     def places(self, feet: Feet, parameters: Array) -> Array:
         """Return where the material points of some feet are in another state, (n, 3)."""
-        points = self.mesh.with_parameters(parameters).evaluate(feet.elements, feet.xi)
-        points[feet.mirrored] = self.head.mirror(points[feet.mirrored])
-        return points
+        out = np.empty((len(feet.elements), 3))
+        for half, rows in zip(
+            self.head.halves(parameters), (~feet.mirrored, feet.mirrored), strict=True
+        ):
+            mesh = self.mesh.with_parameters(half)
+            out[rows] = mesh.evaluate(feet.elements[rows], feet.xi[rows])
+        out[feet.mirrored] = self.head.mirror(out[feet.mirrored])
+        return out
 
     def zones(self, feet: Feet) -> IntArray:
         """Return the index into `STILL_ZONES` of every foot, -1 for none."""
@@ -232,14 +249,15 @@ class SkinState:
     ----------
     skin : Skin
     parameters : (n_params, 3) array
+        Of the tissue, one half or both.
     """
 
     def __init__(self, skin: Skin, parameters: Array) -> None:
         self.skin = skin
         self.parameters = parameters
-        self.mesh = skin.mesh.with_parameters(parameters)
-        self.half = Surface(skin.pieces.points(parameters), skin.pieces.cells, skin.head.name)
-        self._without: dict[int, tuple[Surface, IntArray]] = {}
+        left, right = skin.head.halves(parameters)
+        self._left = _Half(skin, left)
+        self._right = self._left if right is left else _Half(skin, right)
 
     def feet(self, points: Array, normals: Array | None = None) -> Feet:
         """Project points on the skin.
@@ -254,17 +272,51 @@ class SkinState:
         normals : (n, 3) array, optional
             Outward unit normals; without them the closest point of all counts.
         """
+        head = self.skin.head
+        image = head.mirror(points)
+        turned = None if normals is None else normals * [-1.0, 1.0, 1.0]
+        if self._left is self._right:
+            # Of a symmetric face the closest point is on the point's own side.
+            right = points[:, 0] < head.midplane
+            own = np.where(right[:, None], image, points)
+            facing = None
+            if normals is not None and turned is not None:
+                facing = np.where(right[:, None], turned, normals)
+            found = self._left.feet(own, facing)
+        else:
+            found = self._left.feet(points, normals)
+            other = self._right.feet(image, turned)
+            right = (other.distance < found.distance) & (other.covered | ~found.covered)
+            found = Feet(
+                *(
+                    np.where(right if a.ndim == 1 else right[:, None], b, a)
+                    for a, b in zip(_columns(found), _columns(other), strict=True)
+                )
+            )
+        feet, outward = found.points.copy(), found.normals.copy()
+        feet[right] = head.mirror(feet[right])
+        outward[right, 0] *= -1.0
+        return replace(found, mirrored=right, points=feet, normals=outward)
+
+
+def _columns(feet: Feet) -> list[NDArray[Any]]:
+    return [getattr(feet, item.name) for item in fields(feet)]
+
+
+class _Half:
+    """The left half of a skin in one state."""
+
+    def __init__(self, skin: Skin, parameters: Array) -> None:
+        self.skin = skin
+        self.mesh = skin.mesh.with_parameters(parameters)
+        self.half = Surface(skin.pieces.points(parameters), skin.pieces.cells, skin.head.name)
+        self._without: dict[int, tuple[Surface, IntArray]] = {}
+
+    def feet(self, points: Array, normals: Array | None) -> Feet:
+        """Project points as `SkinState.feet` does, on this half alone."""
         skin = self.skin
-        plane = skin.head.midplane
-        mirrored = points[:, 0] < plane
-        near = np.array(points)
-        near[mirrored] = skin.head.mirror(near[mirrored])
-        facing = None
-        if normals is not None:
-            facing = np.where(mirrored[:, None] & np.array([True, False, False]), -normals, normals)
-        found = self._search(near, facing)
-        cells = found[0]
-        shares = barycentric(found[1], self.half.vertices[skin.pieces.cells[cells]])
+        cells, places = self._search(points, normals)
+        shares = barycentric(places, self.half.vertices[skin.pieces.cells[cells]])
         border = (shares * skin.rim[skin.pieces.cells[cells]]).sum(axis=1) > 1.0 - 1e-6
         xi = np.einsum("nk,nki->ni", shares, skin.pieces.xi[skin.cell_samples[cells]])
         nearest = skin.pieces.cells[cells, shares.argmax(axis=1)]
@@ -275,16 +327,15 @@ class SkinState:
         hosts = np.concatenate([own[:, None], np.where(others == own[:, None], -1, others)], axis=1)
         starts = np.full((*hosts.shape, 2), 0.5)
         starts[:, 0] = np.clip(xi, 0.0, 1.0)
-        elements, xi, distance = closest_in(self.mesh, near, hosts, starts)
+        elements, xi, distance = closest_in(self.mesh, points, hosts, starts)
         feet = self.mesh.evaluate(elements, xi)
         tangents = self.mesh.jacobian(elements, xi)
         outward = np.cross(tangents[:, :, 0], tangents[:, :, 1]) * skin.outward[elements][:, None]
         outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
         covered = ~border & (distance < _REACH)
-        if facing is not None:
-            covered &= (outward * facing).sum(axis=1) > _FACING
-        feet[mirrored] = skin.head.mirror(feet[mirrored])
-        outward[mirrored, 0] *= -1.0
+        if normals is not None:
+            covered &= (outward * normals).sum(axis=1) > _FACING
+        mirrored = np.zeros(len(points), dtype=bool)
         return Feet(elements, xi, mirrored, feet, outward, distance, covered)
 
     def _search(self, points: Array, normals: Array | None) -> tuple[IntArray, Array]:
