@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,8 @@ from modiolus.export.scene import FaceScene
 from modiolus.face.head import Head
 from modiolus.hermite import gauss
 from modiolus.hermite.tessellate import tessellate
-from modiolus.mechanics import Continuation, State
-from modiolus.mechanics.face import face_problem
+from modiolus.mechanics import Continuation, Problem, State
+from modiolus.mechanics.face import face_load, face_problem
 from modiolus.progress import Progress
 from modiolus.scans.result import STATE_FILE, save_state
 from modiolus.view.face import draw_face
@@ -49,13 +51,29 @@ class Runner:
         self.quiet = quiet
         self.problem = face_problem(head)
         self.scene = FaceScene(head)
-        self._volume = tessellate(head.tissue, _VTU_DIVISIONS)
 
-    def solve(self, name: str, activations: Mapping[str, float]) -> State:
-        """Follow the face from rest to the activations of its muscles, by name without a side."""
+    @cached_property
+    def whole_problem(self) -> Problem:
+        """The problem of both sides."""
+        return face_problem(self.head.whole)
+
+    def solve(self, name: str, activations: Mapping[str, float], jaw_open: float = 0.0) -> State:
+        """Follow the face from rest to a load; on both sides where the muscles' names have one.
+
+        Parameters
+        ----------
+        name : str
+            Of the expression.
+        activations : mapping of str to float
+            0..1 by muscle, as `modiolus.face.expression.resolve` returns them.
+        jaw_open : float
+            Angle in radians.
+        """
+        one = set(activations) <= set(self.head.muscles)
+        problem = self.problem if one else self.whole_problem
+        load = face_load(problem, self.head if one else self.head.whole, activations, jaw_open)
         with Progress(f"solving {name}", quiet=self.quiet) as progress:
-            continuation = Continuation(self.problem, report=progress.update)
-            return continuation.run(self.problem.load(activations))
+            return Continuation(problem, report=progress.update).run(load)
 
     def write(
         self, name: str, title: str, state: State, folder: Path, target: Path, began: float
@@ -75,13 +93,18 @@ class Runner:
             `time.perf_counter` at the start of the run.
         """
         rest, moved = self.head.tissue.parameters, state.parameters
-        draw_face(
-            self.scene, rest, moved, f"{title or name} · {self.head.name}", folder / "face.png"
-        )
+        jaw = state.load.jaw
+        heading = f"{title or name} · {self.head.name}"
+        draw_face(self.scene, rest, moved, heading, folder / "face.png", jaw)
+        still, shapes = self.scene.shapes(rest), self.scene.shapes(moved, jaw=jaw)
         write_glb(
             folder / "face.glb",
-            self.scene.shapes(rest),
-            {shape.name: {name: shape.vertices} for shape in self.scene.shapes(moved)[:2]},
+            still,
+            {
+                there.name: {name: there.vertices}
+                for here, there in zip(still, shapes, strict=True)
+                if not np.array_equal(here.vertices, there.vertices)
+            },
             str(self.head.about.get("attribution", "")),
         )
         self._write_tissue(state, folder / "tissue.vtu")
@@ -110,13 +133,14 @@ class Runner:
     def record(self, name: str, state: State) -> dict[str, Any]:
         """Return the figures of a state."""
         statistics = state.statistics
+        problem = self.problem if state.reference is self.problem.mesh else self.whole_problem
         return {
             "expression": name,
             "head": self.head.name,
             "converged": statistics.converged,
-            "elements": self.head.tissue.n_elements,
-            "nodes": len(self.head.tissue.corner_nodes()[1]),
-            "unknowns": self.problem.n_unknowns,
+            "elements": problem.mesh.n_elements,
+            "nodes": len(problem.mesh.corner_nodes()[1]),
+            "unknowns": problem.n_unknowns,
             "steps": statistics.steps,
             "newton_iterations": statistics.newton_iterations,
             "solve_s": round(statistics.solve_s, 3),
@@ -126,6 +150,7 @@ class Runner:
             "volume_change": statistics.volume_change,
             "max_penetration_mm": statistics.max_penetration_mm,
             "activations": state.activations,
+            "jaw_open": round(math.degrees(state.load.jaw), 6),
             "landmarks": self.landmarks(state),
             "files": {},
         }
@@ -142,7 +167,8 @@ class Runner:
         }
 
     def _write_tissue(self, state: State, path: Path) -> None:
-        volume = self._volume
+        head = self.head if state.reference is self.problem.mesh else self.head.whole
+        volume = tessellate(head.tissue, _VTU_DIVISIONS)
         at = volume.elements, volume.xi
         gradient = state.deformation_gradient(*at)
         stretch = np.asarray(np.linalg.svd(gradient, compute_uv=False)[:, 0], dtype=float)
@@ -155,7 +181,7 @@ class Runner:
                 "displacement": volume.points(state.parameters) - rest,
                 "J": volume.average(state.volume_ratio(*at)),
                 "stretch": volume.average(stretch),
-                "muscle_fraction": volume.average(_at_points(self.head.fraction, *at)),
+                "muscle_fraction": volume.average(_at_points(head.fraction, *at)),
                 "pressure": volume.average(state.pressure_at(*at)),
             },
         )

@@ -16,14 +16,15 @@ from modiolus.errors import InputError
 
 @app.command(
     epilog="Examples: modiolus simulate smile-closed · modiolus simulate my.toml --json · "
-    "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5"
+    "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5 · "
+    "modiolus simulate terror --jaw-open 12 · modiolus simulate smile-closed --palsy right"
 )
 def simulate(
     expression: Annotated[
         str,
         typer.Argument(
             metavar="[EXPRESSION|FILE.toml]",
-            help="smile-closed, smile-open, sad, terror, or a TOML file with activations.",
+            help="smile-closed, smile-open, sad, terror, wink, smirk, or a TOML file.",
             show_default=False,
         ),
     ] = "",
@@ -35,6 +36,24 @@ def simulate(
             help="Activation of a muscle, 0 to 1; repeatable; counts more than the expression.",
         ),
     ] = [],  # noqa: B006
+    jaw_open: Annotated[
+        float | None,
+        typer.Option(
+            "--jaw-open",
+            metavar="DEGREES",
+            help="How far the jaw is open, 0 to 30; counts more than the expression.",
+            show_default=False,
+        ),
+    ] = None,
+    palsy: Annotated[
+        str,
+        typer.Option(
+            "--palsy",
+            metavar="left|right",
+            help="Let all muscles of one side rest, as in palsy of the facial nerve.",
+            show_default=False,
+        ),
+    ] = "",
     head: HeadName = "taro",
     out: Out = Path("out"),
     as_json: Json = False,
@@ -47,22 +66,24 @@ def simulate(
     began = time.perf_counter()
     from modiolus.face.expression import Expression, resolve
     from modiolus.face.head import Head
+    from modiolus.face.jaw import opening
 
     given = dict(_activation(text) for text in activation)
     if expression:
         wanted = Expression.named(expression)
-    elif given:
+    elif given or jaw_open is not None:
         wanted = Expression("custom")
     else:
         raise InputError("EXPRESSION: none given; name one, a TOML file, or use --activation")
+    jaw = opening(wanted.jaw_open if jaw_open is None else jaw_open)
     chosen = Head.load(head)
-    activations = resolve({**wanted.activations, **given}, chosen.muscles)
+    activations = resolve({**wanted.activations, **given}, chosen.muscles, palsy)
     target = out / wanted.name
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
 
         runner = Runner(chosen, quiet, head)
-        state = runner.solve(wanted.name, activations)
+        state = runner.solve(wanted.name, activations, jaw)
         record = runner.write(wanted.name, wanted.title, state, folder, target, began)
     show(record, describe(record), as_json, quiet)
 

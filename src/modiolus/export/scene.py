@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
+from modiolus.face.jaw import FOLLOWERS
 from modiolus.hermite import HermiteMesh
 from modiolus.hermite.tessellate import Mirror, Tessellation, tessellate
 
@@ -35,9 +38,9 @@ class FaceScene:
     Parameters
     ----------
     head : Head
-        Of its sides ``outer`` and those of lips and lids are drawn as skin, the others as lining;
-        of its deep structures teeth and gums are drawn as they are, and the eyes are placed in
-        the ``eyeball``.
+        One half. Of its sides ``outer`` and those of lips and lids are drawn as skin, the others
+        as lining; of its deep structures teeth and gums are drawn as they are, and the eyes are
+        placed in the ``eyeball``.
     divisions : int
         Divisions of an element each way.
 
@@ -52,6 +55,7 @@ class FaceScene:
     def __init__(self, head: Head, divisions: int = 8) -> None:
         skin = [name for name in head.sides if name.startswith(("outer", "lip", "lid"))]
         lining = [name for name in head.sides if name not in skin and name != "midplane"]
+        self._head = head
         self._rest = head.tissue.parameters
         self._skin = _boundary(head, skin, divisions)
         # The lining hardly shows: half as fine will do.
@@ -65,22 +69,27 @@ class FaceScene:
 
     def skin_points(self, parameters: Floats) -> Floats:
         """Return the vertices (n, 3) of both halves of the skin in a state."""
-        return self.skin_mirror.points(self._skin.points(parameters))
+        left, right = (self._skin.points(side) for side in self._head.halves(parameters))
+        return self.skin_mirror.points(left, right)
 
     def displacement(self, parameters: Floats) -> Floats:
         """Return how far every vertex of the skin has moved from rest, (n,) in mm."""
         moved = self.skin_points(parameters) - self.skin_points(self._rest)
         return np.asarray(np.linalg.norm(moved, axis=1))
 
-    def shapes(self, parameters: Floats, colours: Floats | None = None) -> list[Shape]:
+    def shapes(
+        self, parameters: Floats, colours: Floats | None = None, jaw: float = 0.0
+    ) -> list[Shape]:
         """Return the surfaces of both halves in a state.
 
         Parameters
         ----------
         parameters : (n_params, 3) array
-            Of the tissue mesh.
+            Of the tissue mesh of the half, or of the whole head.
         colours : (n, 3) array, optional
             sRGB colour of every vertex of the skin, in place of its natural one.
+        jaw : float
+            Angle in radians by which the jaw is open; the lower teeth go with it.
         """
         natural = colours is None
         skin = Shape(
@@ -91,14 +100,29 @@ class FaceScene:
             gloss=0.22 if natural else 0.08,
             glow=0.7 if natural else 0.0,
         )
+        left, right = (self._lining.points(side) for side in self._head.halves(parameters))
         lining = Shape(
-            self._lining_mirror.points(self._lining.points(parameters)),
+            self._lining_mirror.points(left, right),
             self._lining_mirror.faces,
             _LINING,
             "lining",
             gloss=0.05,
         )
-        return [skin, lining, *self._still]
+        return [skin, lining, *(self._with_jaw(shape, jaw) for shape in self._still)]
+
+    def _with_jaw(self, shape: Shape, angle: float) -> Shape:
+        """Return a deep structure where the jaw has taken it."""
+        share = FOLLOWERS.get(shape.name, 0.0)
+        if angle == 0.0 or self._head.jaw is None:
+            return shape
+        rotation, shift = self._head.jaw.pose(share * angle)
+        vertices = shape.vertices @ rotation.T + shift
+        if shape.name == "mouth":
+            # The lower edge of the dark goes with the jaw.
+            rotation, shift = self._head.jaw.pose(angle)
+            low = shape.vertices[:, 2] < shape.vertices[:, 2].mean()
+            vertices = np.where(low[:, None], shape.vertices @ rotation.T + shift, shape.vertices)
+        return replace(shape, vertices=vertices)
 
     def _paint(self, head: Head, skin: list[str]) -> Floats:
         """Return the natural colour of the skin: lips redder, eyebrows dark."""

@@ -1,4 +1,4 @@
-"""Expressions: which muscles contract, and how much."""
+"""Expressions: which muscles contract and how much, and how far the jaw is open."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from ..errors import InputError, unknown_name
+from .jaw import opening
 
 __all__ = ["GROUPS", "Expression", "expression_names", "resolve"]
 
@@ -21,12 +22,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 _SIDES = ("left", "right")
 _SHIPPED = files("modiolus.face") / "data" / "expressions"
-_KNOWN_KEYS = ("title", "source", "activations")
+_KNOWN_KEYS = ("title", "source", "jaw_open", "activations")
 
 
 @dataclass(frozen=True)
 class Expression:
-    """A named set of activations.
+    """A named set of activations, and how far the jaw is open.
 
     Parameters
     ----------
@@ -39,18 +40,21 @@ class Expression:
         The expression in words.
     source : str
         Where the set of muscles comes from.
+    jaw_open : float
+        Angle of the jaw in degrees.
     """
 
     name: str
     activations: Mapping[str, float] = field(default_factory=dict)
     title: str = ""
     source: str = ""
+    jaw_open: float = 0.0
 
     @classmethod
     def read(cls, path: str | Path) -> Expression:
         """Read an expression from a TOML file, whose stem becomes its name.
 
-        The file has a table ``activations`` and may have a ``title`` and a ``source``.
+        The file has a table ``activations`` or ``jaw_open``, and may have ``title`` and ``source``.
 
         Raises
         ------
@@ -92,19 +96,25 @@ class Expression:
         for key in content:
             if key not in _KNOWN_KEYS:
                 raise InputError(f"{where}: {unknown_name('key', key, _KNOWN_KEYS)}")
-        table = content.get("activations")
-        if not isinstance(table, dict) or not table:
+        jaw = _number(content.get("jaw_open", 0.0), f"{where}: jaw_open", "degrees")
+        opening(jaw, f"{where}: jaw_open")
+        table = content.get("activations", {})
+        if not isinstance(table, dict) or not (table or jaw):
             raise InputError(
                 f"{where}: it has no activations; add a table [activations] with muscle = value"
             )
-        for muscle, value in table.items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(
-                    f"{where}: activation of {muscle} is {value!r}; give a number within 0 to 1"
-                )
-        activations = {muscle: float(value) for muscle, value in table.items()}
+        activations = {
+            muscle: _number(value, f"{where}: activation of {muscle}", "a number within 0 to 1")
+            for muscle, value in table.items()
+        }
         title, source = str(content.get("title", "")), str(content.get("source", ""))
-        return cls(name, activations, title, source)
+        return cls(name, activations, title, source, jaw)
+
+
+def _number(value: object, what: str, wanted: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{what} is {value!r}; give {wanted}")
+    return float(value)
 
 
 def expression_names() -> tuple[str, ...]:
@@ -118,8 +128,10 @@ def expression_names() -> tuple[str, ...]:
     )
 
 
-def resolve(activations: Mapping[str, float], muscles: Iterable[str]) -> dict[str, float]:
-    """Return the activation of each muscle of a head that is one half, mirrored.
+def resolve(
+    activations: Mapping[str, float], muscles: Iterable[str], palsy: str = ""
+) -> dict[str, float]:
+    """Return the activation of each muscle of a head.
 
     Parameters
     ----------
@@ -128,17 +140,22 @@ def resolve(activations: Mapping[str, float], muscles: Iterable[str]) -> dict[st
         what is said of a side more than what is said of both.
     muscles : iterable of str
         The muscles of the head, without a side.
+    palsy : {'', 'left', 'right'}
+        The side on which all muscles rest, as in palsy of the facial nerve.
 
     Returns
     -------
     dict of str to float
-        By muscle; those at rest are left out.
+        By muscle; those at rest are left out. Where the two sides agree the names have no side
+        and the half of the head will do; otherwise all of them have one.
 
     Raises
     ------
     InputError
-        If a muscle is not known, an activation is not within 0 to 1, or the two sides differ.
+        If a muscle or side is not known, or an activation is not within 0 to 1.
     """
+    if palsy and palsy not in _SIDES:
+        raise unknown_name("side", palsy, _SIDES)
     muscles = tuple(muscles)
     parts = {
         group: tuple(part for part in members if part in muscles)
@@ -160,14 +177,18 @@ def resolve(activations: Mapping[str, float], muscles: Iterable[str]) -> dict[st
     found: dict[str, dict[str, float]] = {}
     for _, muscle, side, value in sorted(wanted, key=lambda entry: entry[0]):
         found.setdefault(muscle, {})[side] = value
-    for muscle, by_side in found.items():
-        if by_side.get("left", 0.0) != by_side.get("right", 0.0):
-            raise InputError(
-                f"{muscle}: the two sides differ, and this head is one half, mirrored; "
-                "give both sides the same activation"
-            )
-    return {
-        muscle: found[muscle]["left"]
+    for by_side in found.values():
+        by_side.pop(palsy, None)
+    by_name = {
+        f"{muscle}_{side}": found[muscle][side]
         for muscle in muscles
-        if muscle in found and found[muscle]["left"] > 0.0
+        for side in _SIDES
+        if found.get(muscle, {}).get(side, 0.0) > 0.0
+    }
+    if any(by_side.get("left", 0.0) != by_side.get("right", 0.0) for by_side in found.values()):
+        return by_name
+    return {
+        name.removesuffix("_left"): value
+        for name, value in by_name.items()
+        if name.endswith("_left")
     }

@@ -134,9 +134,14 @@ class Mirror:
             np.concatenate([faces, image[faces][:, ::-1]]),
         )
 
-    def points(self, half: Array) -> Array:
-        """Return the vertices (n, 3) of the whole from those of the half."""
+    def points(self, half: Array, other: Array | None = None) -> Array:
+        """Return the vertices (n, 3) of the whole from those of the half.
+
+        Where the sides differ, ``other`` has the mirror image of the other one.
+        """
         whole = half[self.source]
+        if other is not None:
+            whole[self.reflected] = other[self.source[self.reflected]]
         whole[self.reflected, 0] = 2.0 * self.plane - whole[self.reflected, 0]
         return whole
 

@@ -42,7 +42,9 @@ def face_camera(scene: FaceScene, rest: Floats, view: str, zoom: float = 1.0) ->
     return Camera((x, y, z), 1.08 * float(high[1] - low[1]) / zoom, azimuth, elevation)
 
 
-def draw_face(scene: FaceScene, rest: Floats, moved: Floats, heading: str, path: Path) -> None:
+def draw_face(
+    scene: FaceScene, rest: Floats, moved: Floats, heading: str, path: Path, jaw: float = 0.0
+) -> None:
     """Draw a face at rest and in a state, and how far its skin has moved; write a PNG.
 
     Parameters
@@ -54,13 +56,15 @@ def draw_face(scene: FaceScene, rest: Floats, moved: Floats, heading: str, path:
         A line above the pictures.
     path : Path
         The file to write.
+    jaw : float
+        Angle in radians by which the jaw is open in the state.
     """
     distance = scene.displacement(moved)
     scale = Scale("displacement (mm)", 0.0, _round_up(float(distance.max())))
     looks = [
         ("neutral", scene.shapes(rest), None),
-        ("contracted", scene.shapes(moved), None),
-        ("displacement", scene.shapes(moved, scale.colours(distance)), scale),
+        ("contracted", scene.shapes(moved, jaw=jaw), None),
+        ("displacement", scene.shapes(moved, scale.colours(distance), jaw), scale),
     ]
     panels = [
         Panel(
