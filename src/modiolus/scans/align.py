@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, SolveError
+from ..face.head import Head
 from ..fitting.register import Registration, icp, register
 from .scan import UNITS, Scan
 from .skin import STILL_ZONES, Skin
 
-__all__ = ["Alignment", "align", "align_to_neutral", "register_scan"]
+__all__ = ["Alignment", "align", "align_to_neutral", "place", "read_landmarks", "register_scan"]
 
 Array = NDArray[np.float64]
 
@@ -21,8 +25,17 @@ Array = NDArray[np.float64]
 _WORST_RMS, _LEAST_MATCHED = 6.0, 0.25
 #: Sizes of a head relative to ours that are believed.
 _SIZES = (0.7, 1.4)
+#: Places of the head among the 68 points of Multi-PIE.
+_MULTI_PIE = {
+    **{"49": "mouth_corner_right", "55": "mouth_corner_left"},
+    **{"63": "upper_lip_mid", "67": "lower_lip_mid"},
+    **{"22": "inner_brow_right", "23": "inner_brow_left"},
+    **{"18": "outer_brow_right", "27": "outer_brow_left"},
+}
 #: A still zone with fewer points says nothing.
 _FEWEST = 30
+#: A pose that leaving out a zone moves by more (mm) is not believed.
+_UNSTABLE = 1.5
 _TUKEY, _LEAST_WIDTH = 4.685, 0.3
 
 
@@ -48,7 +61,105 @@ class Alignment:
     @property
     def scatter_mm(self) -> float:
         """The largest of `zones`: how stable the pose is."""
-        return max(self.zones.values(), default=float("nan"))
+        return max(self.zones.values(), default=float("inf"))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures for a report."""
+        rms = self.still_rms_mm
+        return {
+            "scale": round(self.pose.scale, 6),
+            "rotation": np.round(self.pose.rotation, 6).tolist(),
+            "translation_mm": np.round(self.pose.translation, 4).tolist(),
+            "still_rms_mm": round(rms, 4) if np.isfinite(rms) else None,
+            "zones": {name: round(value, 3) for name, value in self.zones.items()},
+        }
+
+
+def place(
+    scan: Scan,
+    skin: Skin,
+    neutral: Scan | None = None,
+    unit: str | None = None,
+    landmarks: tuple[ArrayLike, ArrayLike] | None = None,
+) -> tuple[Scan, Scan | None, Alignment]:
+    """Bring a scan, and the neutral one of the same person, into a head's frame.
+
+    A neutral scan shows the head at rest and is aligned as a whole; the expression then follows
+    on the parts that keep still. Without a neutral scan those parts are sought on the head.
+
+    Parameters
+    ----------
+    scan : Scan
+        As read.
+    skin : Skin
+    neutral : Scan, optional
+    unit, landmarks
+        As in `register_scan`; the landmarks are those of the neutral scan if there is one.
+
+    Returns
+    -------
+    scan, neutral : Scan
+        Placed.
+    alignment : Alignment
+        Of the scan.
+    """
+    if neutral is None:
+        alignment = align(scan, skin, register_scan(scan, skin, unit, landmarks))
+        return scan.placed(alignment.pose), None, alignment
+    pose = register_scan(neutral, skin, unit, landmarks)
+    alignment = align_to_neutral(scan, neutral, skin, pose)
+    return scan.placed(alignment.pose), neutral.placed(pose), alignment
+
+
+def read_landmarks(path: str | Path, head: Head) -> tuple[Array, Array]:
+    """Read places on a scan and match them with those of a head.
+
+    Parameters
+    ----------
+    path : path
+        A CSV file with a heading: ``name, x, y, z`` with the names of `Head.landmark_points`, or
+        ``multi_pie_index, x, y, z`` with the 68 points of Multi-PIE. Coordinates may also be
+        called ``x_mm`` and so on; other columns are ignored.
+    head : Head
+
+    Returns
+    -------
+    scan, head : (n, 3) arrays
+        In the scan's unit and frame, and in the head's.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or names fewer than three places of the head.
+    """
+    path = Path(path)
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file, skipinitialspace=True))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); name a CSV file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a CSV file ({error}); mend it") from None
+    known = head.landmark_points()
+    scan, there = [], []
+    for number, row in enumerate(rows, 2):
+        name = row.get("name") or _MULTI_PIE.get((row.get("multi_pie_index") or "").strip(), "")
+        if name not in known:
+            continue
+        try:
+            point = [float(row.get(axis) or row.get(f"{axis}_mm") or "") for axis in "xyz"]
+        except ValueError:
+            raise InputError(f"{path}: line {number} has no x, y, z; mend it") from None
+        if not np.isfinite(point).all():
+            raise InputError(f"{path}: line {number} is not finite; mend it")
+        scan.append(point)
+        there.append(known[name])
+    if len(scan) < 3:
+        raise InputError(
+            f"{path}: {len(scan)} places of the head; name at least three, such as "
+            f"{', '.join(list(known)[:3])}"
+        )
+    return np.array(scan), np.array(there)
 
 
 def register_scan(
@@ -113,7 +224,9 @@ def align(scan: Scan, skin: Skin, start: Registration) -> Alignment:
     start : Registration
         From `register_scan`.
     """
-    return _on_still_parts(scan, skin, start, None)
+    found = _on_still_parts(scan, skin, start, None)
+    # Another person's temples and forehead may be too unlike the head's to hold on to.
+    return found if found.scatter_mm < _UNSTABLE else Alignment(start, float("nan"), {})
 
 
 def align_to_neutral(

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from ..anatomy.surface import Surface, read_surface
-from ..errors import InputError
+from ..errors import InputError, unknown_name
 from ..fitting.register import Registration
 
-__all__ = ["UNITS", "Scan", "read_scan"]
+__all__ = ["UNITS", "Scan", "known_unit", "read_scan"]
 
 Array = NDArray[np.float64]
 
@@ -49,9 +49,9 @@ class Scan:
     normals : (n, 3) array
         Outward unit normals.
     surface : Surface
-        The triangles between the points, or a surface through a cloud.
+        Triangles between the points; those of a cloud were guessed.
     cloud : bool
-        Whether it is a cloud, whose surface has vertices of its own.
+        Whether it was read as a cloud.
     """
 
     name: str
@@ -134,6 +134,19 @@ def barycentric(points: Array, corners: Array) -> Array:
     s, t = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
     out = np.clip(np.stack([1.0 - s - t, s, t], axis=1), 0.0, 1.0)
     return np.asarray(out / out.sum(axis=1, keepdims=True))
+
+
+def known_unit(unit: str) -> str:
+    """Return a unit of length after a check; empty means that it is to be found.
+
+    Raises
+    ------
+    InputError
+        It is not one of `UNITS`.
+    """
+    if unit and unit not in UNITS:
+        raise unknown_name("unit", unit, UNITS)
+    return unit
 
 
 def read_scan(path: str | Path) -> Scan:
@@ -284,4 +297,4 @@ def _wrapped(points: Array, name: str) -> tuple[Array, Surface]:
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
     turned = (normals * surface.vertex_normals).sum(axis=1) < 0.0
-    return np.where(turned[:, None], -normals, normals), _tidied(surface, name)
+    return np.where(turned[:, None], -normals, normals), surface

@@ -1,5 +1,6 @@
 """Figures: panels of drawn scenes with titles and a colour scale, written as one picture."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from modiolus.export.shape import Shape
 from modiolus.view.raster import BACKGROUND, Camera, Curves, draw
 
-__all__ = ["Panel", "Scale", "figure"]
+__all__ = ["Panel", "Scale", "figure", "histogram"]
 
 Floats = NDArray[np.float64]
 
@@ -70,6 +71,9 @@ class Panel:
         A line above the picture, and a fainter one beneath that.
     scale : Scale, optional
         A colour scale to draw at the foot.
+    chart : callable, optional
+        Draws a chart instead of a scene: called with width, height and the size of the text in
+        pixels, it returns a picture.
     """
 
     camera: Camera
@@ -78,6 +82,7 @@ class Panel:
     title: str = ""
     note: str = ""
     scale: Scale | None = None
+    chart: Callable[[int, int, int], Image.Image] | None = None
 
 
 def figure(
@@ -120,8 +125,12 @@ def figure(
         pen.text((margin, margin), heading, _INK, _font(round(1.35 * text)))
     for number, panel in enumerate(panels):
         left, above = width * (number % columns), top + step * (number // columns)
-        pixels = draw(panel.shapes, panel.curves, panel.camera, width - gap, height - gap)
-        page.paste(Image.fromarray(np.round(255 * pixels).astype(np.uint8)), (left, above + head))
+        if panel.chart is not None:
+            picture = panel.chart(width - gap, height - gap, text)
+        else:
+            pixels = draw(panel.shapes, panel.curves, panel.camera, width - gap, height - gap)
+            picture = Image.fromarray(np.round(255 * pixels).astype(np.uint8))
+        page.paste(picture, (left, above + head))
         pen.text((left + margin, above + margin // 2), panel.title, _INK, _font(text))
         pen.text(
             (left + margin, above + margin // 2 + round(1.35 * text)),
@@ -149,6 +158,53 @@ def _draw_scale(
     pen.text((left, foot), f"{scale.low:.3g}", _FAINT, font)
     pen.text(((left + right) / 2, foot), scale.label, _FAINT, font, anchor="ma")
     pen.text((right, foot), f"{scale.high:.3g}", _FAINT, font, anchor="ra")
+
+
+def histogram(
+    values: Floats, weights: Floats, scale: Scale, marks: Sequence[tuple[str, float]] = ()
+) -> Callable[[int, int, int], Image.Image]:
+    """Return a chart of how values are distributed, for `Panel.chart`.
+
+    Parameters
+    ----------
+    values, weights : (n,) arrays
+        The height of a bar is the share of the weights in it.
+    scale : Scale
+        Range, label and colours; values beyond it count at its ends.
+    marks : sequence of (str, float)
+        Lines to draw at some values, with what they mean.
+    """
+    edges = np.linspace(scale.low, scale.high, 41)
+    shares = np.histogram(np.clip(values, scale.low, scale.high), edges, weights=weights)[0]
+    shares = shares / max(float(shares.sum()), 1e-30)
+
+    def chart(width: int, height: int, text: int) -> Image.Image:
+        background = tuple(round(255 * value) for value in BACKGROUND)
+        picture = Image.new("RGB", (width, height), background)
+        pen, font = ImageDraw.Draw(picture), _font(round(0.82 * text))
+        left, right, top, foot = 2 * text, width - 2 * text, 3 * text, height - 4 * text
+        tallest = max(float(shares.max()), 1e-30)
+
+        def column(value: float) -> float:
+            return left + (right - left) * (value - scale.low) / (scale.high - scale.low)
+
+        colours = scale.colours(0.5 * (edges[1:] + edges[:-1]))
+        for low, high, share, colour in zip(edges[:-1], edges[1:], shares, colours, strict=True):
+            rise = (foot - top) * float(share) / tallest
+            box = (column(float(low)) + 1, foot - rise, column(float(high)) - 1, foot)
+            pen.rectangle(box, tuple(round(255 * float(value)) for value in colour))
+        pen.line([(left, foot), (right, foot)], _FAINT)
+        for value in (scale.low, 0.5 * (scale.low + scale.high), scale.high):
+            pen.text((column(value), foot + 4), f"{value:.3g}", _FAINT, font, anchor="ma")
+        pen.text(((left + right) / 2, foot + 1.5 * text), scale.label, _FAINT, font, anchor="ma")
+        pen.text((left, top - 1.5 * text), f"share of the area, up to {tallest:.0%}", _FAINT, font)
+        for row, (name, value) in enumerate(marks):
+            at = column(min(max(value, scale.low), scale.high))
+            pen.line([(at, top), (at, foot)], _INK)
+            pen.text((at + 4, top + 1.2 * text * row), f"{name} {value:.2f}", _INK, font)
+        return picture
+
+    return chart
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:

@@ -1,0 +1,170 @@
+"""``modiolus compare``: a computed face against a measured one."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.outputs import whole_folder
+from modiolus.progress import Progress
+
+Unit = Annotated[
+    str, typer.Option("--unit", metavar="um|mm|cm|in|m", help="Of the scans; found by default.")
+]
+Landmarks = Annotated[
+    Path | None,
+    typer.Option("--landmarks", metavar="CSV", help="Places on the scan, to align it by."),
+]
+
+
+@app.command(
+    epilog="Example: modiolus compare out/smile-closed --scan smile.ply --neutral neutral.ply"
+)
+def compare(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="A folder that modiolus simulate wrote.")
+    ],
+    scan: Annotated[Path, typer.Option("--scan", metavar="FILE", help="The measured face.")],
+    neutral: Annotated[
+        Path | None,
+        typer.Option("--neutral", metavar="FILE", help="The same person at rest."),
+    ] = None,
+    landmarks: Landmarks = None,
+    unit: Unit = "",
+    head: Annotated[
+        str, typer.Option("--head", metavar="NAME|DIR", help="Where the result's head is now.")
+    ] = "",
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for the page; RESULT/compare-<scan>."),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare a computed face with a scan, region by region.
+
+    Writes compare.png, compare.html and report.json.
+    """
+    began = time.perf_counter()
+    from modiolus.scans.result import load_result
+    from modiolus.scans.scan import known_unit, read_scan
+
+    known_unit(unit)
+    computed = load_result(result, head or None)
+    measured = read_scan(scan)
+    resting = None if neutral is None else read_scan(neutral)
+    target = out or result / f"compare-{scan.stem}"
+    with whole_folder(target, marker="report.json") as folder:
+        from modiolus.export.scene import FaceScene
+        from modiolus.scans.align import place, read_landmarks
+        from modiolus.scans.compare import compare as measure
+        from modiolus.scans.skin import Skin
+        from modiolus.view.compare import (
+            MEASURE_HEADINGS,
+            draw_comparison,
+            measure_rows,
+            write_page,
+        )
+
+        skin = Skin(computed.head)
+        with Progress(f"aligning {scan.name}", quiet=quiet) as progress:
+            pairs = None if landmarks is None else read_landmarks(landmarks, computed.head)
+            placed, at_rest, alignment = place(measured, skin, resting, unit or None, pairs)
+            progress.update(0.7, "measuring")
+            found = measure(skin, computed.parameters, placed, at_rest)
+            progress.update(0.8, "drawing")
+            title = f"{computed.expression} on {computed.head.name} against {scan.name}"
+            rest = computed.head.tissue.parameters
+            draw_comparison(
+                FaceScene(computed.head),
+                rest,
+                computed.parameters,
+                found,
+                title,
+                folder / "compare.png",
+            )
+            progress.update(1.0)
+        record: dict[str, Any] = {
+            "expression": computed.expression,
+            "head": computed.head.name,
+            "scan": str(scan),
+            "neutral": None if neutral is None else str(neutral),
+            "alignment": alignment.as_dict(),
+            **found.as_dict(),
+            "seconds": round(time.perf_counter() - began, 3),
+            "files": {
+                "picture": str(target / "compare.png"),
+                "page": str(target / "compare.html"),
+                "report": str(target / "report.json"),
+            },
+        }
+        tables = [("Distance of the scan to the model", MEASURE_HEADINGS)]
+        rows = [measure_rows(found.distances)]
+        if found.matched is not None:
+            tables.append(("Difference of the displacements", MEASURE_HEADINGS))
+            rows.append(measure_rows(found.matched))
+        notes = [describe_alignment(record["alignment"]), describe_measures(record)]
+        write_page(
+            folder / "compare.html",
+            title,
+            notes,
+            [(*table, part) for table, part in zip(tables, rows, strict=True)],
+            [("error maps", folder / "compare.png")],
+        )
+        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+    text = text_table(MEASURE_HEADINGS, rows[0])
+    files = record["files"]
+    show(
+        record,
+        f"{title}\n\n{text}\n\n{' '.join(notes)}\nPage: {files['page']}",
+        as_json,
+        quiet,
+    )
+
+
+def text_table(headings: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a table as plain text, its first column to the left."""
+    from modiolus.view.compare import cell
+
+    cells = [list(headings), *[[cell(value) for value in row] for row in rows]]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(headings))]
+    return "\n".join(
+        "  ".join(
+            text.ljust(width) if k == 0 else text.rjust(width)
+            for k, (text, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
+    )
+
+
+def describe_alignment(record: Mapping[str, Any]) -> str:
+    """Say in a sentence how the scan was aligned."""
+    zones = ", ".join(
+        f"{name.replace('_', ' ')} {value:.2f} mm" for name, value in record["zones"].items()
+    )
+    if not zones:
+        return "Aligned by the whole face: too little of the still parts is in the scan."
+    return (
+        "Aligned on the parts that keep still; left out one at a time, they move the face by "
+        f"{zones}."
+    )
+
+
+def describe_measures(record: Mapping[str, Any]) -> str:
+    """Say in a few sentences how far the model explains the scan."""
+    text = f"{record['coverage']:.0%} of the scan's area has a counterpart on the model."
+    if record["explained"] is not None and record["neutral"] is not None:
+        text += (
+            f" Where the scan moved by more than 1 mm, the model explains "
+            f"{record['explained']:.0%} of the distance that is left without moving"
+        )
+        if record["matched"] is not None:
+            text += f", and {record['matched']['explained']:.0%} of the displacement of its points"
+        text += "."
+    return text
