@@ -7,7 +7,7 @@ import pytest
 
 from modiolus.cli import main
 from modiolus.cli.catalogue import ALONE
-from modiolus.face.expression import Expression, expression_names, resolve
+from modiolus.face.expression import Expression, resolve
 from modiolus.face.head import Head
 from modiolus.face.muscles import MUSCLES
 from modiolus.mechanics import Continuation
@@ -60,11 +60,14 @@ ACTIONS = {
     "depressor_septi_nasi": [("ala_left", "-z")],
 }
 
+#: Expressions that are the same on both sides: those of Wu et al. 2013.
+SYMMETRIC = ("smile-closed", "smile-open", "sad", "terror")
+
 #: Fields of a run's record.
 FIELDS = {
     *("expression", "head", "converged", "elements", "nodes", "unknowns", "steps"),
     *("newton_iterations", "solve_s", "wall_s", "J_min", "J_max", "volume_change"),
-    *("max_penetration_mm", "activations", "landmarks", "files"),
+    *("max_penetration_mm", "activations", "jaw_open", "landmarks", "files"),
 }
 
 
@@ -171,7 +174,7 @@ def test_every_muscle_has_its_action(head):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", expression_names())
+@pytest.mark.parametrize("name", SYMMETRIC)
 def test_expressions_are_sound(head, solve, name):
     activations = expression(head, name)
     state = solve(activations)

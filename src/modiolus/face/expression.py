@@ -155,7 +155,7 @@ def resolve(
         If a muscle or side is not known, or an activation is not within 0 to 1.
     """
     if palsy and palsy not in _SIDES:
-        raise unknown_name("side", palsy, _SIDES)
+        raise unknown_name("palsied side", palsy, _SIDES)
     muscles = tuple(muscles)
     parts = {
         group: tuple(part for part in members if part in muscles)
