@@ -88,6 +88,7 @@ def compare(
                 found,
                 title,
                 folder / "compare.png",
+                computed.jaw,
             )
             progress.update(1.0)
         record: dict[str, Any] = {

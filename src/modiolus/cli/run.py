@@ -116,6 +116,7 @@ class Runner:
             state.parameters,
             state.pressure,
             state.activations,
+            jaw,
         )
         names = {
             "picture": "face.png",

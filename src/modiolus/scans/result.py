@@ -29,15 +29,18 @@ class Result:
     expression : str
     head : Head
     parameters : (n_params, 3) array
-        Of the tissue (mm).
+        Of the tissue of the half, or of both sides (mm).
     activations : dict of str to float
         By muscle; those at rest are left out.
+    jaw : float
+        Angle in radians by which the jaw is open.
     """
 
     expression: str
     head: Head
     parameters: Array
     activations: dict[str, float]
+    jaw: float
 
 
 def _digest(head: Head) -> str:
@@ -52,6 +55,7 @@ def save_state(
     parameters: Array,
     pressure: Array,
     activations: dict[str, float],
+    jaw: float,
 ) -> None:
     """Write a state as plain arrays.
 
@@ -67,6 +71,8 @@ def save_state(
     pressure : (n_vertices,) array
         In kPa.
     activations : dict of str to float
+    jaw : float
+        Angle in radians by which the jaw is open.
     """
     np.savez_compressed(
         path,
@@ -78,6 +84,7 @@ def save_state(
         pressure=pressure,
         muscles=np.array(list(activations), dtype="U64"),
         activations=np.array(list(activations.values()), dtype=float),
+        jaw=np.array(jaw),
     )
 
 
@@ -105,13 +112,14 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         parameters = np.asarray(arrays["parameters"], dtype=float)
         names, values = arrays["muscles"].tolist(), arrays["activations"].astype(float).tolist()
         same = str(arrays["digest"]) == _digest(chosen)
-        expression = str(arrays["expression"])
+        expression, jaw = str(arrays["expression"]), float(arrays["jaw"])
     except (KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: its arrays make no state ({error}); simulate anew") from error
-    if not same or parameters.shape != chosen.tissue.parameters.shape:
+    sizes = (chosen.tissue.n_params, chosen.both.mesh.n_params)
+    if not same or parameters.shape not in [(size, 3) for size in sizes]:
         raise InputError(f"{folder}: the head {source} has changed since; simulate anew")
-    if not np.isfinite(parameters).all():
+    if not np.isfinite([*parameters.ravel(), jaw]).all():
         raise InputError(f"{path}: a number is not finite; simulate anew")
-    return Result(expression, chosen, parameters, dict(zip(names, values, strict=True)))
+    return Result(expression, chosen, parameters, dict(zip(names, values, strict=True)), jaw)

@@ -209,11 +209,7 @@ class Skin:
             Of the tissue, one half or both.
         """
         left, right = (self.pieces.points(half) for half in self.head.halves(parameters))
-        mirror = self.mirror
-        points = mirror.points(left)
-        other = mirror.reflected
-        points[other] = mirror.points(right)[other]
-        return Surface(points, mirror.faces, self.head.name)
+        return Surface(self.mirror.points(left, right), self.mirror.faces, self.head.name)
 
     def state(self, parameters: Array) -> SkinState:
         """Return the skin in a state, to project on.

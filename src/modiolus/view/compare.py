@@ -33,6 +33,7 @@ def draw_comparison(
     comparison: Comparison,
     heading: str,
     path: Path,
+    jaw: float = 0.0,
 ) -> None:
     """Draw measured and computed face, the error on the scan, and its histogram; write a PNG.
 
@@ -46,6 +47,8 @@ def draw_comparison(
         A line above the pictures.
     path : Path
         The file to write.
+    jaw : float
+        Angle in radians by which the jaw is open.
     """
     measure = comparison.distances
     everywhere = np.ones(len(measure.error), dtype=bool)
@@ -63,7 +66,7 @@ def draw_comparison(
     for view in VIEWS:
         camera = face_camera(scene, rest, view, zoom=1.15)
         panels.append(Panel(camera, [measured], title=f"measured, {view}"))
-        panels.append(Panel(camera, scene.shapes(moved), title=f"computed, {view}"))
+        panels.append(Panel(camera, scene.shapes(moved, jaw=jaw), title=f"computed, {view}"))
         for title, shape in maps:
             bar = scale if view == "three-quarter" else None
             panels.append(Panel(camera, [shape], title=f"{title}, {view}", scale=bar))
