@@ -16,6 +16,7 @@ from .embed import (
     boundary_surface,
     bring_inside,
     fasciae,
+    insertions,
     inside_fraction,
     ligaments,
     modiolus_centre,
@@ -102,6 +103,7 @@ def build_head(
         muscles=muscles,
         deep={key: RigidSurface(key, grid) for key, grid in deep.items()},
         attachments=attachments,
+        insertions=insertions(tissue.mesh, muscles),
         about={
             "subject": "adult male",
             "source": "BodyParts3D, release 3.0 (skin: release 4.0)",

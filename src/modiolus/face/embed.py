@@ -215,14 +215,47 @@ def origins(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attac
     for name, (stiffness, share) in ORIGINS.items():
         if name not in muscles:
             continue
-        points, along = muscles[name].end_points(share)
-        place = mesh.locate(points)
-        near = place.distance < 1.0
-        if not near.any():
-            continue
-        weight = along[near] / along[near].sum()
-        out[name] = Attachment(name, place.elements[near], place.xi[near], stiffness * weight)
+        out[name] = _held(mesh, name, *muscles[name].end_points(share), stiffness)
     return out
+
+
+def _held(
+    mesh: HermiteMesh, name: str, points: Array, volumes: Array, stiffness: float
+) -> Attachment:
+    """Share a stiffness among the points of a muscle that the tissue holds or nearly holds."""
+    place = mesh.locate(points)
+    near = place.distance < 1.0
+    weight = volumes[near] / max(volumes[near].sum(), 1e-9)
+    return Attachment(name, place.elements[near], place.xi[near], stiffness * weight)
+
+
+#: Muscles that end in the skin or, beside the mouth, in the knot under it, and the stiffness
+#: (mN/mm) of the fibrous bond between the last part of the muscle and the skin above it.
+INSERTIONS: dict[str, float] = dict.fromkeys(
+    (
+        *("zygomaticus_major", "zygomaticus_minor", "risorius", "buccinator"),
+        *("levator_labii_superioris", "levator_labii_superioris_alaeque_nasi"),
+        *("levator_anguli_oris", "depressor_anguli_oris", "depressor_labii_inferioris"),
+        *("mentalis", "platysma", "frontalis_medial", "frontalis_lateral"),
+        *("corrugator_supercilii", "procerus", "nasalis", "depressor_septi_nasi"),
+    ),
+    1000.0,
+)
+#: That part, as a share of the length.
+INSERTION_SHARE = 0.2
+
+
+def insertions(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attachment]:
+    """Return the ends of the muscles that are bound to the skin above them.
+
+    The muscles of expression move the skin because their fibres end between those of the
+    dermis; fat alone would let a deep end slip under it.
+    """
+    return {
+        name: _held(mesh, name, *muscles[name].end_points(INSERTION_SHARE, True), stiffness)
+        for name, stiffness in INSERTIONS.items()
+        if name in muscles
+    }
 
 
 #: Retaining ligaments: distances (mm) from the tragus and from the mid-plane or the corner of

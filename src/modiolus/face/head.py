@@ -64,7 +64,7 @@ class RigidSurface:
 
 @dataclass(frozen=True)
 class Attachment:
-    """Tissue held to the bone by springs: the origin of a muscle or a ligament.
+    """Tissue held by springs: to bone at an origin or ligament, to the skin at an insertion.
 
     Attributes
     ----------
@@ -102,6 +102,9 @@ class Head:
     muscles : dict of Muscle
     deep : dict of RigidSurface
     attachments : dict of Attachment
+        What holds the tissue to the bone.
+    insertions : dict of Attachment
+        By muscle, its end that is bound to the skin above it.
     midplane : float
         x of the mirror plane (mm).
     about : dict
@@ -119,6 +122,7 @@ class Head:
     muscles: dict[str, Muscle]
     deep: dict[str, RigidSurface]
     attachments: dict[str, Attachment]
+    insertions: dict[str, Attachment]
     midplane: float = MIDPLANE
     about: dict[str, Any] = field(default_factory=dict)
     half: Head | None = None
@@ -216,8 +220,10 @@ class Head:
         }
         for name, (elements, axis, side) in self.sides.items():
             tissue[f"side/{name}"] = np.concatenate([[axis, side], elements]).astype(np.int32)
-        for name, item in self.attachments.items():
-            tissue[f"attachment/{name}"] = np.column_stack([item.elements, item.xi, item.stiffness])
+        for kind, items in (("attachment", self.attachments), ("insertion", self.insertions)):
+            for name, item in items.items():
+                values = np.column_stack([item.elements, item.xi, item.stiffness])
+                tissue[f"{kind}/{name}"] = values
         _write_arrays(folder / "tissue.npz", tissue)
         muscles = {
             f"{name}/{key}": value
@@ -289,7 +295,7 @@ class Head:
             extraction.check_format(full_check=True)
             mesh = HermiteMesh(3, _finite(tissue["parameters"]), extraction)
             sides: dict[str, Side] = {}
-            attachments: dict[str, Attachment] = {}
+            held: dict[str, dict[str, Attachment]] = {"attachment": {}, "insertion": {}}
             for key, value in tissue.items():
                 kind, _, item = key.partition("/")
                 if kind == "side":
@@ -297,10 +303,10 @@ class Head:
                     if axis not in (0, 1, 2) or side not in (0, 1):
                         raise ValueError(f"side {item} is no side of an element")
                     sides[item] = (_elements(value[2:], mesh), axis, side)
-                elif kind == "attachment":
+                elif kind in held:
                     if not (value[:, 4] >= 0.0).all():
                         raise ValueError(f"stiffness of {item} is not from 0 up")
-                    attachments[item] = Attachment(
+                    held[kind][item] = Attachment(
                         item, _elements(value[:, 0], mesh), _shares(value[:, 1:4]), value[:, 4]
                     )
             landmarks = {}
@@ -332,7 +338,8 @@ class Head:
                     key: RigidSurface(key, DistanceGrid.from_arrays(arrays))
                     for key, arrays in deep.items()
                 },
-                attachments=attachments,
+                attachments=held["attachment"],
+                insertions=held["insertion"],
                 midplane=float(_finite(np.array(table["midplane"]))),
                 about=dict(table.get("about", {})),
             )

@@ -185,13 +185,15 @@ class Muscle:
         points, areas = self.end(1)
         return np.asarray(areas @ points / areas.sum())
 
-    def end_points(self, share: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return integration points of the part next to the origin.
+    def end_points(self, share: float, insertion: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Return integration points of the part next to the origin, or to the insertion.
 
         Parameters
         ----------
         share : float
             Which part of the muscle, in terms of its length along the fibres.
+        insertion : bool
+            Of the other end.
 
         Returns
         -------
@@ -206,7 +208,8 @@ class Muscle:
         before = np.cumsum(lengths, axis=1) - lengths
         along = before[row, place][rule.elements]
         along = along + rule.xi[:, 0] * lengths[row, place][rule.elements]
-        near = along < share * lengths.sum(axis=1)[row[rule.elements]]
+        along = along / lengths.sum(axis=1)[row[rule.elements]]
+        near = along > 1.0 - share if insertion else along < share
         return rule.points[near], rule.weights[near]
 
     def span(self, moved: Map | None = None) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -41,15 +42,19 @@ def whole_head(half: Head) -> Head:
             landmarks[f"{name}_left"] = (element, xi)
             landmarks[f"{name}_right"] = (element + half.tissue.n_elements, (1.0 - xi[0], *xi[1:]))
     muscles: dict[str, Muscle] = {}
-    attachments: dict[str, Attachment] = {}
     for name, muscle in half.muscles.items():
         left, right = f"{name}_left", f"{name}_right"
         muscles[left] = replace(muscle, name=left)
         muscles[right] = replace(muscle.mirrored(half.midplane), name=right)
-    for name, item in half.attachments.items():
-        left, right = f"{name}_left", f"{name}_right"
-        attachments[left] = replace(item, name=left)
-        attachments[right] = Attachment(right, *both.points(item.elements, item.xi), item.stiffness)
+
+    def of_both(items: Mapping[str, Attachment]) -> dict[str, Attachment]:
+        out = {}
+        for name, item in items.items():
+            left, right = f"{name}_left", f"{name}_right"
+            out[left] = replace(item, name=left)
+            out[right] = Attachment(right, *both.points(item.elements, item.xi), item.stiffness)
+        return out
+
     return replace(
         half,
         tissue=both.mesh,
@@ -58,7 +63,8 @@ def whole_head(half: Head) -> Head:
         fraction=_both(half.fraction),
         firmness=_both(half.firmness),
         muscles=muscles,
-        attachments=attachments,
+        attachments=of_both(half.attachments),
+        insertions=of_both(half.insertions),
         half=half,
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..face.head import Head
@@ -51,6 +52,9 @@ class FaceSettings:
 
 #: Deep structures that the tissue keeps to when it is pulled away: bone under thin tissue.
 SLIDING = ("skull", "mandible")
+#: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
+#: lips and cheeks from the bone.
+VESTIBULE = 6.0
 
 
 def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
@@ -187,18 +191,23 @@ def _springs(head: Head) -> Iterator[Springs]:
             "attachments",
             None if head.jaw is None else carry,
         )
+    for item in head.insertions.values():
+        skin = item.xi.copy()
+        skin[:, 2] = 1.0
+        yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "insertions", to=skin)
 
 
 def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]:
     """Put the inner surface against every deep structure that it may reach."""
     elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
     points = head.tissue.evaluate(elements, xi)
+    free = _vestibule(head, points)
     for name, surface in head.deep.items():
         distance = head.distance(name).sample(points).distance
         near = distance < surface.distance.band - 0.2
         if not near.any():
             continue
-        slide = settings.slide * (distance[near] < settings.reach) * (name in SLIDING)
+        slides = (distance[near] < settings.reach) & ~free[near] & (name in SLIDING)
         yield RigidContact(
             head.tissue,
             head.distance(name),
@@ -206,10 +215,19 @@ def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]
             xi[near],
             areas[near],
             settings.contact,
-            slide=slide,
+            slide=settings.slide * slides,
             name=f"contact with {name}",
             motion=_motion(head.jaw, FOLLOWERS.get(name, 0.0)),
         )
+
+
+def _vestibule(head: Head, points: Array) -> NDArray[np.bool_]:
+    """Tell which points face the vestibule of the mouth, where tissue lifts off freely."""
+    out = np.zeros(len(points), dtype=bool)
+    for name in ("gums_upper", "gums_lower"):
+        if name in head.deep:
+            out |= head.distance(name).sample(points).distance < VESTIBULE
+    return out
 
 
 def _motion(jaw: Jaw | None, share: float) -> Callable[[Load], tuple[Array, Array]] | None:

@@ -254,7 +254,7 @@ class Fibres(PointTerm):
 
 
 class Springs(PointTerm):
-    """Tissue points tied to their place at rest: origins, ligaments.
+    """Tissue points tied to their place at rest, or to other tissue: origins, insertions.
 
     Parameters
     ----------
@@ -266,6 +266,9 @@ class Springs(PointTerm):
     name : str
     carry : callable, optional
         Takes the anchors at rest (n, 3) and returns what takes a load to the anchors' places.
+    to : (n, 3) array, optional
+        ξ, in the same elements, of tissue to which the points are tied; then they keep their
+        vector to it instead of their place.
     """
 
     def __init__(
@@ -276,11 +279,14 @@ class Springs(PointTerm):
         stiffness: ArrayLike,
         name: str = "springs",
         carry: Callable[[Array], Callable[[Load], Array]] | None = None,
+        to: ArrayLike | None = None,
     ) -> None:
         order = by_host(elements)
         elements = np.asarray(elements)[order]
-        xi = np.asarray(xi, dtype=float)[order]
-        super().__init__(name, mesh.functions(elements, xi), elements)
+        functions = mesh.functions(elements, np.asarray(xi, dtype=float)[order])
+        if to is not None:
+            functions = functions - mesh.functions(elements, np.asarray(to, dtype=float)[order])
+        super().__init__(name, sp.csr_matrix(functions), elements)
         self.stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), order.shape)[order]
         if not (self.stiffness >= 0.0).all():
             raise InputError(f"{name}: a stiffness is negative or NaN; give values from 0 up")
