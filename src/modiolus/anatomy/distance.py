@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from scipy.ndimage import zoom
+from scipy.ndimage import gaussian_filter, zoom
 
 from modiolus.anatomy.bodyparts3d import BodyParts3D
 from modiolus.anatomy.surface import Surface
@@ -131,6 +131,25 @@ class DistanceGrid:
         shape = np.maximum(np.ceil((high - low) / spacing).astype(int) + 1, 4)
         values = distances_in_band(whole, low, spacing, shape, 127 * QUANTUM)
         return cls(low, spacing, np.round(values / QUANTUM).astype(np.int8))
+
+    @classmethod
+    def rounded(cls, grids: Sequence[DistanceGrid], radius: float) -> DistanceGrid:
+        """Return the distance to the union of some bodies with its edges and clefts rounded.
+
+        Parameters
+        ----------
+        grids : sequence of DistanceGrid
+        radius : float
+            Standard deviation of the Gaussian (mm) with which the distance is smoothed.
+        """
+        spacing = min(grid.spacing for grid in grids)
+        low = np.min([grid.bounds[0] for grid in grids], axis=0)
+        high = np.max([grid.bounds[1] for grid in grids], axis=0)
+        shape = np.ceil((high - low) / spacing).astype(int) + 1
+        points = _grid_points(low, spacing, shape)
+        nearest = np.min([grid.sample(points).distance for grid in grids], axis=0)
+        smooth = gaussian_filter(nearest.reshape(shape), radius / spacing, mode="nearest")
+        return cls(low, spacing, np.round(smooth / QUANTUM).astype(np.int8))
 
     def sample(self, points: np.ndarray) -> DistanceSample:
         """Sample the field with its first and second derivatives.

@@ -42,6 +42,7 @@ FOLLOWERS: dict[str, float] = {
     "mandible": 1.0,
     "teeth_lower": 1.0,
     "gums_lower": 1.0,
+    "lower_arch": 1.0,
     "masseter": 0.5,
 }
 _STANDING = ("skull", "teeth_upper", "gums_upper")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..errors import InputError
 from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw
@@ -52,6 +53,13 @@ class FaceSettings:
 
 #: Deep structures that the tissue keeps to when it is pulled away: bone under thin tissue.
 SLIDING = ("skull", "mandible")
+#: Teeth and gums touch the tissue as one arch each, whose cusps and clefts are rounded (mm):
+#: soft tissue bridges the clefts, and sharp cusps would catch on a mesh coarser than they are.
+ARCHES: dict[str, tuple[str, ...]] = {
+    "upper_arch": ("teeth_upper", "gums_upper"),
+    "lower_arch": ("teeth_lower", "gums_lower"),
+}
+ROUNDING = 1.0
 #: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
 #: lips and cheeks from the bone.
 VESTIBULE = 6.0
@@ -202,15 +210,16 @@ def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]
     elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
     points = head.tissue.evaluate(elements, xi)
     free = _vestibule(head, points)
-    for name, surface in head.deep.items():
-        distance = head.distance(name).sample(points).distance
-        near = distance < surface.distance.band - 0.2
+    for name, grid in _bodies(head).items():
+        surface = MirroredDistance(grid, head.midplane)
+        distance = surface.sample(points).distance
+        near = distance < grid.band - 0.2
         if not near.any():
             continue
         slides = (distance[near] < settings.reach) & ~free[near] & (name in SLIDING)
         yield RigidContact(
             head.tissue,
-            head.distance(name),
+            surface,
             elements[near],
             xi[near],
             areas[near],
@@ -219,6 +228,16 @@ def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]
             name=f"contact with {name}",
             motion=_motion(head.jaw, FOLLOWERS.get(name, 0.0)),
         )
+
+
+def _bodies(head: Head) -> dict[str, DistanceGrid]:
+    """Return what the tissue touches: the deep structures, teeth and gums as smooth arches."""
+    grids = {name: item.distance for name, item in head.deep.items()}
+    for arch, names in ARCHES.items():
+        parts = [grids.pop(name) for name in names if name in grids]
+        if parts:
+            grids[arch] = DistanceGrid.rounded(parts, ROUNDING)
+    return grids
 
 
 def _vestibule(head: Head, points: Array) -> NDArray[np.bool_]:
