@@ -10,7 +10,7 @@ with the factors at hand.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -159,6 +159,32 @@ class Continuation:
                     f"load {reached:.0%}, J {statistics.J_min:.2f} to {statistics.J_max:.2f}",
                 )
         return self.state
+
+    def sensitivities(self, muscles: Sequence[str]) -> Array:
+        """Return the derivatives of the present state's parameters by activations.
+
+        ``dU/da = -K⁻¹ ∂R/∂a``, with the exact tangent of the present state, whose factors also
+        serve the next step.
+
+        Parameters
+        ----------
+        muscles : sequence of k str
+
+        Returns
+        -------
+        (n_params, 3, k) array
+            In mm.
+        """
+        problem, state = self.problem, self.state
+        problem.update(state.parameters)
+        self._factorise(state.parameters, state.pressure, state.load)
+        self._fresh = True
+        change = -self.solver.solve(problem.activation_slopes(state.parameters, muscles))
+        change = change.reshape(-1, len(muscles))
+        equations = problem.assembly.equations
+        out = np.zeros((*equations.shape, len(muscles)))
+        out[equations >= 0] = change[equations[equations >= 0]]
+        return out
 
     def _factorise(
         self,

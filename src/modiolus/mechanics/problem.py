@@ -383,6 +383,30 @@ class Problem:
         """
         return self.assembly.matrix(extra)
 
+    def activation_slopes(self, parameters: Array, muscles: Sequence[str]) -> Array:
+        """Return the derivatives of the residual by activations, (n, k).
+
+        At fixed deformation the force of a muscle is linear in its activation.
+
+        Parameters
+        ----------
+        parameters : (n_params, 3) array
+        muscles : sequence of k str
+        """
+        free = self.assembly.equations >= 0
+        out = np.zeros((self.assembly.n, len(muscles)))
+        for term in self.terms:
+            if not isinstance(term, Fibres):
+                continue
+            vectors = np.asarray(term.functions @ parameters)
+            passive = term.respond(vectors, Load()).forces
+            for k, name in enumerate(muscles):
+                if name in term.names:
+                    active = term.respond(vectors, Load({name: 1.0})).forces - passive
+                    forces = np.asarray(term.functions.T @ active)
+                    out[self.assembly.equations[free], k] += forces[free]
+        return out
+
     def update(self, parameters: Array) -> None:
         """Let the terms refresh what they keep fixed within a load step."""
         for term in self.terms:
