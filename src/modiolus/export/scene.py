@@ -254,7 +254,8 @@ def _mouth(head: Head) -> list[Shape]:
         low, high = corners.min(axis=0), corners.max(axis=0)
         # Behind the incisors and between the molars.
         back = low[1] + 0.45 * (high[1] - low[1])
-        middle, reach = 0.5 * (low + high), 0.3 * (high - low)
+        # As wide as the mouth: the corners of an open one must not show the way out.
+        middle, reach = 0.5 * (low + high), np.array([0.44, 0.3, 0.3]) * (high - low)
         low, high = middle - reach, middle + reach
         square = np.array(
             [
