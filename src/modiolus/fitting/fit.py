@@ -79,6 +79,10 @@ class PointTarget:
     xi : (n, dim) array
     points : (n, 3) array
     weight : float or (n,) array
+    normals : (n, 3) array, optional
+        Directions across which the places may slide.
+    sliding : float
+        As for `CloudTarget`; it counts only where there are normals.
     """
 
     name: str
@@ -86,6 +90,8 @@ class PointTarget:
     xi: Array
     points: Array
     weight: float | Array = 1.0
+    normals: Array | None = None
+    sliding: float = 0.0
 
 
 Target = CloudTarget | SurfaceTarget | PointTarget
@@ -201,7 +207,13 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
     if isinstance(target, PointTarget):
         operator = mesh.functions(target.elements, target.xi)
         weight = np.broadcast_to(target.weight, len(target.points))
-        return _Residual(operator, target.points, np.asarray(weight, dtype=float), None, 1.0)
+        return _Residual(
+            operator,
+            target.points,
+            np.asarray(weight, dtype=float),
+            target.normals,
+            target.sliding,
+        )
     part = target.part(mesh)
     normals: Array | None = None
     if isinstance(target, CloudTarget):

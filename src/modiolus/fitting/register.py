@@ -118,8 +118,20 @@ def similarity(source: ArrayLike, target: ArrayLike, scaled: bool = True) -> Reg
     return Registration(scale, rotation, centre_b - scale * rotation @ centre_a, rms, 1.0)
 
 
-class _Side:
-    """A surface with the samples and the free edges that registration needs."""
+class Matcher:
+    """A surface with samples of it and its free edges, for matching by closest points.
+
+    Parameters
+    ----------
+    surface : Surface
+    count : int
+        About how many samples.
+
+    Attributes
+    ----------
+    points, normals : (n, 3) arrays
+        The samples.
+    """
 
     def __init__(self, surface: Surface, count: int) -> None:
         self.surface = surface
@@ -188,12 +200,14 @@ def icp(
         Surface and target do not meet.
     """
     start = start or Registration(1.0, np.eye(3), np.zeros(3))
-    return _icp(_Side(surface, _FINE), _Side(target, _FINE), start, scaled, both, iterations, reach)
+    return _icp(
+        Matcher(surface, _FINE), Matcher(target, _FINE), start, scaled, both, iterations, reach
+    )
 
 
 def _icp(
-    moving: _Side,
-    fixed: _Side,
+    moving: Matcher,
+    fixed: Matcher,
     start: Registration,
     scaled: bool,
     both: bool,
@@ -250,7 +264,7 @@ def _icp(
     return _measured(pose, moving, fixed)
 
 
-def _measured(pose: Registration, moving: _Side, fixed: _Side) -> Registration:
+def _measured(pose: Registration, moving: Matcher, fixed: Matcher) -> Registration:
     moved = pose.apply(moving.points)
     near, normals, good = fixed.matches(moved, _FAR)
     cosine = np.einsum("ni,ni->n", moving.normals @ pose.rotation.T, normals)
@@ -303,7 +317,7 @@ def register(
     SolveError
         Surface and target do not meet.
     """
-    moving, fixed = _Side(surface, _FINE), _Side(target, _FINE)
+    moving, fixed = Matcher(surface, _FINE), Matcher(target, _FINE)
     if landmarks is not None:
         start = similarity(*landmarks)
         unit = min(UNITS, key=lambda value: abs(np.log(start.scale / value)))
@@ -330,7 +344,7 @@ def register(
     return _icp(moving, fixed, best, scaled, True, 60, 15.0)
 
 
-def _score(pose: Registration, moving: _Side, fixed: _Side) -> float:
+def _score(pose: Registration, moving: Matcher, fixed: Matcher) -> float:
     """Mean distance (mm) of the target to the surface and of the nearer half back, capped."""
     there = moving.surface.closest(pose.undo(fixed.points)).distance * pose.scale
     back = np.sort(fixed.surface.closest(pose.apply(moving.points)).distance)[: _FINE // 2]
@@ -343,7 +357,7 @@ def guess_unit(surface: Surface, target: Surface) -> float:
     return min(UNITS, key=lambda unit: abs(np.log(unit * size / wanted)))
 
 
-def _search(moving: _Side, fixed: _Side, scaled: bool) -> list[Registration]:
+def _search(moving: Matcher, fixed: Matcher, scaled: bool) -> list[Registration]:
     """Return the best poses of a coarse search from many rotations, the best first."""
     unit = guess_unit(moving.surface, fixed.surface)
     stride = max(1, len(moving.points) // _COARSE)

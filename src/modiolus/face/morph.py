@@ -1,0 +1,607 @@
+"""From one head to another: a head morphed to the surface of a face.
+
+The surface is brought into the head's frame (`modiolus.fitting.register`) and keeps its size,
+the head takes that of the surface. Then a box of tricubic Hermite elements around the head is
+deformed until the skin lies on the surface, and the skin is fitted once more by itself. One map
+of space carries everything else: the inner surface keeps its distance from the skin, muscles and
+bones move along. Elements and local coordinates stay what they are, so that the muscle fraction,
+the attachments and the landmarks need no change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from ..anatomy.distance import DistanceGrid
+from ..anatomy.surface import Surface
+from ..errors import InputError, SolveError
+from ..fitting import PointTarget, Registration, Smoothing, fit, icp, register
+from ..fitting.register import Matcher
+from ..hermite import HermiteMesh, grid
+from ..hermite.basis import Array
+from .embed import boundary_surface, inside_fraction
+from .head import Head, RigidSurface
+from .margins import Margins, find_margins
+from .muscle import Muscle
+
+Progress = Callable[[float, str], None]
+Map = Callable[[Array], Array]
+
+#: Elements of the host box: lateral, backward, up; its room around the head (mm).
+HOST, _ROOM = (4, 4, 8), 6.0
+#: Weights of the host's second derivatives, from stiff to soft; one step each.
+_HOST_SMOOTHING = (3e3, 3e3, 1e3, 1e3, 3e2, 3e2, 1e2, 1e2, 30.0, 30.0)
+#: Weights of the first and second derivatives in the fit of the skin itself; one step each.
+_SKIN_SMOOTHING = ((1e-1, 1.0), (3e-2, 0.3), (1e-2, 0.1), (3e-3, 3e-2), (1e-3, 1e-2), (1e-3, 1e-2))
+#: Weight of the change of the derivatives through the tissue: the inner surface follows.
+_THROUGH = 1.0
+#: Weight of a point of a margin relative to one of the skin.
+_MARGIN_WEIGHT = 8.0
+#: Farthest match (mm) in the first and in the last step.
+_REACH = (20.0, 3.0)
+#: Least cosine between the normals of matched points.
+_ALIGNED = 0.5
+#: Distance (mm) over which the last correction fades outside the tissue.
+_FADE = 12.0
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A surface in the frame of a head.
+
+    Attributes
+    ----------
+    surface : Surface
+        In the head's frame, in its own size (mm).
+    pose : Registration
+        From the surface's own frame to this one.
+    size : float
+        Size of the surface's face relative to the head's.
+    middle : (3,) array
+        The head grows about this point.
+    """
+
+    surface: Surface
+    pose: Registration
+    size: float
+    middle: Array
+
+    def grown(self, points: Array) -> Array:
+        """Return points (n, 3) of the head in the size of the surface."""
+        return np.asarray(self.middle + self.size * (points - self.middle))
+
+
+def align(
+    head: Head, surface: Surface, landmarks: tuple[ArrayLike, ArrayLike] | None = None
+) -> Aligned:
+    """Bring a surface into the frame of a head, each in its own size.
+
+    Raises
+    ------
+    InputError
+        The triangles of the surface run the wrong way round, or it is mirrored.
+    SolveError
+        The surface does not meet the head.
+    """
+    skin = skin_surface(head)
+    pose = register(surface, skin, landmarks)
+    if pose.facing < 0.0:
+        raise InputError(
+            f"{surface.name}: its triangles face inwards, or the scan is mirrored; turn them over"
+        )
+    size = pose.unit / pose.scale
+    middle = skin.bounds.mean(axis=0)
+    middle[0] = head.midplane
+    pose = Registration(
+        pose.unit,
+        pose.rotation,
+        size * (pose.translation - middle) + middle,
+        pose.rms,
+        pose.matched,
+        pose.facing,
+        pose.unit,
+    )
+    pose = _centred(pose, surface, head.midplane)
+    return Aligned(pose.moved(surface), pose, size, middle)
+
+
+def skin_surface(head: Head, divisions: int = 6) -> Surface:
+    """Return the skin of both sides of a head's left half as triangles."""
+    half = boundary_surface(head.tissue, head.sides["outer"], divisions)
+    count = len(half.vertices)
+    median = np.abs(half.vertices[:, 0] - head.midplane) < 1e-6
+    # In the mid-plane both sides share their vertices: it is no free edge.
+    image = np.where(median, np.arange(count), count + np.arange(count))
+    vertices = np.vstack([half.vertices, half.mirrored(head.midplane).vertices])
+    whole = Surface(vertices, np.vstack([half.faces, image[half.faces[:, ::-1]]]), head.name)
+    return whole.picked(whole.faces)
+
+
+def _centred(pose: Registration, surface: Surface, plane: float) -> Registration:
+    """Turn and shift a surface so that its own plane of symmetry is the head's mid-plane."""
+    moved = pose.moved(surface)
+    image = moved.mirrored(plane)
+    try:
+        onto = icp(image, moved, reach=10.0)
+    except SolveError:
+        return pose
+    if onto.matched < 0.4:
+        return pose
+    # Mirror image and motion together are a reflection in the plane of symmetry.
+    mirror = onto.rotation @ np.diag([-1.0, 1.0, 1.0])
+    values, vectors = np.linalg.eig(mirror)
+    normal = np.real(vectors[:, np.argmin(np.abs(values + 1.0))])
+    normal *= np.sign(normal[0]) / np.linalg.norm(normal)
+    centres = 0.5 * (moved.vertices + onto.apply(image.vertices))
+    centre = centres.mean(axis=0)
+    axis = np.cross(normal, [1.0, 0.0, 0.0])
+    sine = float(np.linalg.norm(axis))
+    if sine > 0.2:
+        return pose
+    turn = Rotation.from_rotvec(axis / max(sine, 1e-12) * np.arcsin(sine)).as_matrix()
+    shift = centre - turn @ centre
+    shift[0] += plane - centre[0]
+    return replace(pose, rotation=turn @ pose.rotation, translation=turn @ pose.translation + shift)
+
+
+def _plane_mask(head: Head) -> NDArray[np.bool_]:
+    """Return which unknowns of the tissue the mirror condition holds, (n_params, 3)."""
+    return plane_mask(head.tissue, *head.sides["midplane"])
+
+
+def plane_mask(
+    mesh: HermiteMesh, elements: NDArray[np.int64], axis: int, side: int
+) -> NDArray[np.bool_]:
+    """Return which unknowns a face in the mid-plane keeps so that the mirror image joins on.
+
+    Returns
+    -------
+    (n_params, 3) bool array
+        x of what lies in the plane, y and z of the slopes across it.
+    """
+    within, across = mesh.face_parameters(elements, axis, side)
+    held = np.zeros((mesh.n_params, 3), dtype=bool)
+    held[within, 0] = True
+    held[across, 1:] = True
+    return held
+
+
+def _samples(mesh: HermiteMesh, count: int = 5) -> tuple[NDArray[np.int64], Array]:
+    """Return points spread over all elements of a volume mesh, their borders included."""
+    ticks = np.linspace(0.0, 1.0, count)
+    cell = np.stack(np.meshgrid(*[ticks] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.repeat(np.arange(mesh.n_elements), len(cell)), np.tile(cell, (mesh.n_elements, 1))
+
+
+def _carried(mesh: HermiteMesh, mapping: Map, held: NDArray[np.bool_] | None = None) -> HermiteMesh:
+    """Move a volume mesh by a map: the least-squares fit to where its points go."""
+    elements, xi = _samples(mesh)
+    return _through(mesh, elements, xi, mapping(mesh.evaluate(elements, xi)), held)
+
+
+def _through(
+    mesh: HermiteMesh,
+    elements: NDArray[np.int64],
+    xi: Array,
+    points: Array,
+    held: NDArray[np.bool_] | None = None,
+) -> HermiteMesh:
+    target = PointTarget("there", elements, xi, points)
+    smoothing = Smoothing(first=0.0, second=1e-6, relative=True)
+    return fit(mesh, [target], smoothing, held, iterations=1).mesh
+
+
+def _muscle(muscle: Muscle, mapping: Map) -> Muscle:
+    return replace(muscle, mesh=_carried(muscle.mesh, mapping))
+
+
+def _rigid(item: RigidSurface, mapping: Map, size: float) -> RigidSurface:
+    """Carry the surface of a deep structure and measure the distances to it anew."""
+    surface = closed_surface(item.distance)
+    moved = Surface(mapping(surface.vertices), surface.faces, item.name)
+    return RigidSurface(item.name, DistanceGrid.of([moved], item.distance.spacing * size))
+
+
+def closed_surface(distance: DistanceGrid) -> Surface:
+    """Return the surface of a structure, closed where the grid cuts it off."""
+    values = np.pad(distance.values, 2, constant_values=np.int8(127))
+    origin = distance.origin - 2.0 * distance.spacing
+    return DistanceGrid(origin, distance.spacing, values).surface()
+
+
+@dataclass(frozen=True)
+class _Host:
+    """A box of tricubic elements whose deformation carries what is in it."""
+
+    low: Array
+    spacing: Array
+    counts: tuple[int, int, int]
+    mesh: HermiteMesh
+    plane: float
+
+    @classmethod
+    def around(cls, head: Head, grown: Map) -> _Host:
+        """Make the box of a head that has grown; undeformed."""
+        points = [head.tissue.evaluate(*_samples(head.tissue, 2))]
+        points += [muscle.bounds() for muscle in head.muscles.values()]
+        points += [item.distance.bounds for item in head.deep.values()]
+        cloud = grown(np.vstack(points))
+        low, high = cloud.min(axis=0) - _ROOM, cloud.max(axis=0) + _ROOM
+        low[0] = head.midplane
+        ticks = [np.linspace(low[k], high[k], HOST[k] + 1) for k in range(3)]
+        mesh = grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+        return cls(low, (high - low) / HOST, HOST, mesh, head.midplane)
+
+    def places(self, points: Array) -> tuple[NDArray[np.int64], Array, Array]:
+        """Return element, local coordinates and side (1 left, -1 right) of points at rest."""
+        side = np.where(points[:, 0] < self.plane, -1.0, 1.0)
+        folded = points.copy()
+        folded[:, 0] = self.plane + side * (points[:, 0] - self.plane)
+        place = (folded - self.low) / self.spacing
+        cell = np.clip(np.floor(place).astype(np.int64), 0, np.array(self.counts) - 1)
+        element = cell[:, 0] + self.counts[0] * (cell[:, 1] + self.counts[1] * cell[:, 2])
+        # Just outside the box the cubics go on; far outside they would run away.
+        return element, np.clip(place - cell, -0.2, 1.2), side
+
+    def __call__(self, points: Array) -> Array:
+        """Return where points (n, 3) go."""
+        element, xi, side = self.places(points)
+        moved = self.mesh.evaluate(element, xi)
+        moved[:, 0] = self.plane + side * (moved[:, 0] - self.plane)
+        return moved
+
+
+@dataclass(frozen=True)
+class _Skin:
+    """Sample points of the outer surface and of the margins of lips and lids."""
+
+    elements: NDArray[np.int64]
+    xi: Array
+    margins: dict[str, tuple[NDArray[np.int64], Array]]
+
+    @classmethod
+    def of(cls, head: Head, samples: int = 5) -> _Skin:
+        elements, axis, side = head.sides["outer"]
+        face = head.tissue.face(elements, axis, side)
+        local, xi, _ = face.gauss_points(samples)
+        margins = {}
+        for name in ("lip_upper", "lip_lower", "lid_upper", "lid_lower"):
+            cells, along, end = head.sides[name]
+            ticks = np.linspace(0.0, 1.0, 5)
+            place = np.zeros((len(ticks), 3))
+            place[:, 0], place[:, along], place[:, axis] = ticks, end, side
+            margins[name] = (np.repeat(cells, len(ticks)), np.tile(place, (len(cells), 1)))
+        return cls(elements[local], np.insert(xi, axis, float(side), axis=1), margins)
+
+
+def margin_targets(skin: _Skin, mesh: HermiteMesh, margins: Margins) -> list[PointTarget]:
+    """Return the margins of lips and lids with the points of the scan that they belong to.
+
+    A margin is matched by its share of the way across: from the mid-plane to the corner of the
+    mouth, and from corner to corner of the eye.
+    """
+    out = []
+    lines = {
+        "lip_upper": margins.lips,
+        "lip_lower": margins.lips,
+        "lid_upper": margins.lid_upper,
+        "lid_lower": margins.lid_lower,
+    }
+    for name, line in lines.items():
+        if line is None:
+            continue
+        elements, xi = skin.margins[name]
+        own = mesh.evaluate(elements, xi)[:, 0]
+        share = (own - own.min()) / (own.max() - own.min())
+        x = line[0, 0] + share * (line[-1, 0] - line[0, 0])
+        points = np.column_stack([np.interp(x, line[:, 0], line[:, k]) for k in range(3)])
+        out.append(PointTarget(name, elements, xi, points, _MARGIN_WEIGHT))
+    return out
+
+
+def _matches(
+    scans: Iterable[Matcher], points: Array, normals: Array, reach: float
+) -> list[tuple[NDArray[np.bool_], Array, Array]]:
+    """Match points with each of some surfaces: which, where, and the normals there."""
+    out = []
+    for scan in scans:
+        there, facing, good = scan.matches(points, reach)
+        good = good & (np.einsum("ni,ni->n", facing, normals) > _ALIGNED)
+        out.append((good, there, facing))
+    return out
+
+
+def _outer_normals(head: Head, mesh: HermiteMesh, skin: _Skin) -> Array:
+    _, axis, _ = head.sides["outer"]
+    tangents = mesh.jacobian(skin.elements, skin.xi)
+    first, second = (k for k in range(3) if k != axis)
+    normal = np.cross(tangents[:, :, first], tangents[:, :, second])
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _reaches(count: int) -> Array:
+    return np.geomspace(*_REACH, count)
+
+
+def _deformed(
+    head: Head, host: _Host, skin: _Skin, scans: list[Matcher], margins: Margins
+) -> _Host:
+    """Deform the host until the skin of the head lies on the scan."""
+    held = plane_mask(
+        host.mesh, np.flatnonzero(np.arange(host.mesh.n_elements) % HOST[0] == 0), 0, 0
+    )
+    rest = head.tissue.evaluate(skin.elements, skin.xi)
+    cells, places, _ = host.places(rest)
+    edges = margin_targets(skin, head.tissue, margins)
+    # The box keeps what it has come to in one step as the rest of the next one only in part:
+    # smoothing always counts from the undeformed box.
+    box = host.mesh
+    for weight, reach in zip(_HOST_SMOOTHING, _reaches(len(_HOST_SMOOTHING)), strict=True):
+        moved = host(rest)
+        normals = _moved_normals(head, host, skin)
+        found = _matches(scans, moved, normals, reach)
+        seen = np.maximum(np.sum([good for good, _, _ in found], axis=0), 1)
+        targets = [
+            PointTarget(
+                "skin", cells[good], places[good], there[good], 1.0 / seen[good], facing[good], 0.1
+            )
+            for good, there, facing in found
+            if good.any()
+        ]
+        for edge in edges:
+            element, xi, _ = host.places(head.tissue.evaluate(edge.elements, edge.xi))
+            targets.append(replace(edge, elements=element, xi=xi))
+        smoothing = Smoothing(first=0.0, second=weight, relative=True)
+        mesh = fit(box, targets, smoothing, held, iterations=1).mesh
+        host = replace(host, mesh=mesh)
+    return host
+
+
+def _moved_normals(head: Head, host: _Host, skin: _Skin) -> Array:
+    """Return the normals of the outer surface after the host's deformation."""
+    _, axis, _ = head.sides["outer"]
+    step = 1e-3
+    first, second = (k for k in range(3) if k != axis)
+    tangents = []
+    jacobian = head.tissue.jacobian(skin.elements, skin.xi)
+    points = head.tissue.evaluate(skin.elements, skin.xi)
+    for k in (first, second):
+        tangents.append(
+            host(points + step * jacobian[:, :, k]) - host(points - step * jacobian[:, :, k])
+        )
+    normal = np.cross(*tangents)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _fitted(
+    head: Head, start: HermiteMesh, skin: _Skin, scans: list[Matcher], margins: list[PointTarget]
+) -> HermiteMesh:
+    """Fit the outer surface of a deformed head to the scan; the tissue below follows it."""
+    held = _plane_mask(head)
+    mesh = start
+    for (first, second), reach in zip(_SKIN_SMOOTHING, _reaches(len(_SKIN_SMOOTHING)), strict=True):
+        points = mesh.evaluate(skin.elements, skin.xi)
+        found = _matches(scans, points, _outer_normals(head, mesh, skin), min(reach, 8.0))
+        seen = np.maximum(np.sum([good for good, _, _ in found], axis=0), 1)
+        targets = [
+            PointTarget(
+                "skin",
+                skin.elements[good],
+                skin.xi[good],
+                there[good],
+                1.0 / seen[good],
+                facing[good],
+            )
+            for good, there, facing in found
+            if good.any()
+        ]
+        smoothing = Smoothing(
+            first=(first, first, _THROUGH),
+            second=(second, second, _THROUGH, second, _THROUGH, _THROUGH),
+            relative=True,
+        )
+        mesh = fit(start, [*targets, *margins], smoothing, held, iterations=1).mesh
+    return mesh
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """The map of space from the head to the morphed one."""
+
+    aligned: Aligned
+    host: _Host
+    before: HermiteMesh
+    after: HermiteMesh
+
+    def __call__(self, points: Array) -> Array:
+        """Return where points (n, 3) of the head go.
+
+        Inside the tissue it is the map from the old mesh to the new one, outside that of the
+        host with the tissue's last correction, which fades with the distance.
+        """
+        plane = self.host.plane
+        grown = self.aligned.grown(points)
+        side = np.where(grown[:, 0] < plane, -1.0, 1.0)
+        grown[:, 0] = plane + side * (grown[:, 0] - plane)
+        moved = self.host(grown)
+        place = self.before.locate(grown)
+        nearest = self.before.evaluate(place.elements, place.xi)
+        shift = self.after.evaluate(place.elements, place.xi) - self.host(nearest)
+        moved += np.exp(-((place.distance / _FADE) ** 2))[:, None] * shift
+        moved[:, 0] = plane + side * (moved[:, 0] - plane)
+        return moved
+
+
+def morph_head(
+    head: Head,
+    surface: Surface,
+    landmarks: tuple[ArrayLike, ArrayLike] | None = None,
+    report: Progress | None = None,
+    name: str = "morphed",
+) -> tuple[Head, dict[str, Any]]:
+    """Morph a head to the surface of a face.
+
+    Parameters
+    ----------
+    head : Head
+        A left half.
+    surface : Surface
+        Skin of a face, of any pose, in mm, cm or m; it may have holes and lack a side.
+    landmarks : ((n, 3) array, (n, 3) array), optional
+        Matched points of the surface, in its own frame, and of the head.
+    report : callable, optional
+        Told ``(fraction, message)`` as the work goes on.
+    name : str
+        Name of the new head.
+
+    Returns
+    -------
+    head : Head
+        In the frame of the old one and in the size of the surface.
+    quality : dict
+        Figures of the fit and the gates: see `modiolus.face.gates`.
+
+    Raises
+    ------
+    InputError
+        Landmarks or surface are unusable.
+    SolveError
+        The surface does not meet the head.
+    """
+    tell = report or (lambda _fraction, _message: None)
+    tell(0.0, "finding the pose of the surface")
+    aligned = align(head, surface, landmarks)
+    tell(0.3, "margins of lips and lids")
+    before = _carried(head.tissue, aligned.grown, _plane_mask(head))
+    grown = replace(head, tissue=before)
+    skin = _Skin.of(grown)
+    scans = [Matcher(aligned.surface, 4000)]
+    scans.append(Matcher(aligned.surface.mirrored(head.midplane), 4000))
+    margins = _both_margins(grown, skin, scans)
+    edges = margin_targets(skin, before, margins)
+    tell(0.35, "deforming the box around the head")
+    host = _deformed(grown, _Host.around(head, aligned.grown), skin, scans, margins)
+    tell(0.5, "fitting the skin")
+    start = _carried(before, host, _plane_mask(head))
+    after = _fitted(grown, start, skin, scans, edges)
+    whole = _Whole(aligned, host, before, after)
+    tell(0.6, "muscles")
+    muscles = {key: _muscle(muscle, whole) for key, muscle in head.muscles.items()}
+    tell(0.75, "deep structures")
+    deep = {key: _rigid(item, whole, aligned.size) for key, item in head.deep.items()}
+    morphed = replace(head, name=name, tissue=after, muscles=muscles, deep=deep, about={})
+    tell(0.9, "quality")
+    quality = morph_quality(head, morphed, aligned, edges)
+    tell(1.0, "done")
+    return morphed, quality
+
+
+def _both_margins(head: Head, skin: _Skin, scans: list[Matcher]) -> Margins:
+    """Find the margins on both sides of a scan; where both show them, their mean."""
+    places = {
+        key: head.tissue.evaluate(elements, xi) for key, (elements, xi) in skin.margins.items()
+    }
+    lips = np.vstack([places["lip_upper"], places["lip_lower"]])
+    mouth = lips[np.argmin(lips[:, 0])]
+    eye = np.vstack([places["lid_upper"], places["lid_lower"]]).mean(axis=0)
+    found = [find_margins(scan.surface, mouth, eye) for scan in scans]
+    lines = {
+        key: _mean_line([getattr(margins, key) for margins in found])
+        for key in ("lips", "lid_upper", "lid_lower")
+    }
+    return Margins(**lines)
+
+
+def _mean_line(lines: list[Array | None]) -> Array | None:
+    """Return the mean of lines that run along x, point by point of their length across."""
+    known = [line for line in lines if line is not None]
+    if not known:
+        return None
+    shares = np.linspace(0.0, 1.0, 101)
+    resampled = []
+    for line in known:
+        at = (line[:, 0] - line[0, 0]) / (line[-1, 0] - line[0, 0])
+        resampled.append(np.column_stack([np.interp(shares, at, line[:, k]) for k in range(3)]))
+    return np.asarray(np.mean(resampled, axis=0))
+
+
+def morph_quality(
+    head: Head, morphed: Head, aligned: Aligned, margins: list[PointTarget]
+) -> dict[str, Any]:
+    """Measure a morphed head against the scan and against the head that it was made from."""
+    from .template import NECK_CUT
+
+    mesh = morphed.tissue
+    elements, xi, _ = mesh.gauss_points(4)
+    error, share = scan_error(morphed, aligned.surface)
+    old, new = (thickness(item) for item in (head, morphed))
+    ratio = new / (aligned.size * old)
+    neck = head.tissue.face(*head.sides["neck"])
+    lowest = neck.evaluate(*neck.gauss_points(4)[:2])[:, 2].max()
+    quality: dict[str, Any] = {
+        "size": round(aligned.size, 4),
+        "scan_rms_mm": round(float(np.sqrt(np.mean(error**2))), 3),
+        "scan_p95_mm": round(float(np.percentile(error, 95)), 3),
+        "scan_max_mm": round(float(error.max()), 3),
+        "scan_covered": round(share, 3),
+        "min_jacobian": round(float(np.linalg.det(mesh.jacobian(elements, xi)).min()), 3),
+        "min_scaled_jacobian": round(float(mesh.scaled_jacobian(elements, xi).min()), 3),
+        "volume_mm3": round(float(mesh.measures().sum())),
+        "least_thickness_mm": round(float(new.min()), 2),
+        "thickness_ratio": [round(float(v), 2) for v in np.percentile(ratio, [1, 50, 99])],
+    }
+    for part in ("lip", "lid"):
+        gaps = [
+            np.linalg.norm(mesh.evaluate(t.elements, t.xi) - t.points, axis=1)
+            for t in margins
+            if t.name.startswith(part)
+        ]
+        if gaps:
+            rms = float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
+            quality[f"{part}_margins_rms_mm"] = round(rms, 3)
+    del lowest
+    quality["inside"] = {
+        key: round(inside_fraction(mesh, muscle, NECK_CUT), 4)
+        for key, muscle in morphed.muscles.items()
+    }
+    return quality
+
+
+def thickness(head: Head) -> Array:
+    """Return the depth of the tissue (mm) at 3 x 3 points of every element, (n,)."""
+    elements, axis, side = head.sides["outer"]
+    face = head.tissue.face(elements, axis, side)
+    local, xi, _ = face.gauss_points(3)
+    ends = [
+        head.tissue.evaluate(elements[local], np.insert(xi, axis, float(end), axis=1))
+        for end in (side, 1 - side)
+    ]
+    return np.asarray(np.linalg.norm(ends[0] - ends[1], axis=1))
+
+
+def scan_error(head: Head, surface: Surface) -> tuple[Array, float]:
+    """Return the distance (n,) of a scan's vertices to the skin of a head, and their share.
+
+    Left out is what the template does not have: vertices whose closest point is on a free edge
+    of the skin (ears, scalp, neck, inside of mouth and eyes) or faces another way (nostrils).
+    """
+    skin = Matcher(skin_surface(head), 4000)
+    points = surface.vertices
+    normals = vertex_normals(surface)
+    near, facing, good = skin.matches(points, 10.0)
+    good &= np.einsum("ni,ni->n", facing, normals) > 0.3
+    return np.linalg.norm(near - points, axis=1)[good], float(good.mean())
+
+
+def vertex_normals(surface: Surface) -> Array:
+    """Return the mean normals of the triangles around every vertex, (n, 3)."""
+    out = np.zeros_like(surface.vertices)
+    for corner in range(3):
+        np.add.at(out, surface.faces[:, corner], surface.normals * surface.areas[:, None])
+    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
