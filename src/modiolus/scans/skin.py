@@ -232,6 +232,25 @@ class Skin:
         out[feet.mirrored] = self.head.mirror(out[feet.mirrored])
         return out
 
+    def turned(self, feet: Feet, parameters: Array) -> Array:
+        """Return the outward unit normals of some feet in another state, (n, 3)."""
+        out = np.empty((len(feet.elements), 3))
+        for half, rows in zip(
+            self.head.halves(parameters), (~feet.mirrored, feet.mirrored), strict=True
+        ):
+            mesh = self.mesh.with_parameters(half)
+            out[rows] = self.outward_normals(mesh, feet.elements[rows], feet.xi[rows])
+        out[feet.mirrored, 0] *= -1.0
+        return out
+
+    def outward_normals(self, mesh: HermiteMesh, elements: IntArray, xi: Array) -> Array:
+        """Return outward unit normals of the left half, (n, 3)."""
+        tangents = mesh.jacobian(elements, xi)
+        normals = np.cross(tangents[:, :, 0], tangents[:, :, 1]) * self.outward[elements][:, None]
+        return np.asarray(
+            normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        )
+
     def zones(self, feet: Feet) -> IntArray:
         """Return the index into `STILL_ZONES` of every foot, -1 for none."""
         zone = self.zone[feet.elements]
@@ -325,9 +344,7 @@ class _Half:
         starts[:, 0] = np.clip(xi, 0.0, 1.0)
         elements, xi, distance = closest_in(self.mesh, points, hosts, starts)
         feet = self.mesh.evaluate(elements, xi)
-        tangents = self.mesh.jacobian(elements, xi)
-        outward = np.cross(tangents[:, :, 0], tangents[:, :, 1]) * skin.outward[elements][:, None]
-        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+        outward = skin.outward_normals(self.mesh, elements, xi)
         covered = ~border & (distance < _REACH)
         if normals is not None:
             covered &= (outward * normals).sum(axis=1) > _FACING
