@@ -49,8 +49,12 @@ class Runner:
         self.head = head
         self.source = str(Path(source).resolve()) if Path(source, "head.toml").is_file() else source
         self.quiet = quiet
-        self.problem = face_problem(head)
         self.scene = FaceScene(head)
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The problem of the half face."""
+        return face_problem(self.head)
 
     @cached_property
     def whole_problem(self) -> Problem:
@@ -134,7 +138,7 @@ class Runner:
     def record(self, name: str, state: State) -> dict[str, Any]:
         """Return the figures of a state."""
         statistics = state.statistics
-        problem = self.problem if state.reference is self.problem.mesh else self.whole_problem
+        problem = self.problem if self._on_half(state) else self.whole_problem
         return {
             "expression": name,
             "head": self.head.name,
@@ -156,6 +160,9 @@ class Runner:
             "files": {},
         }
 
+    def _on_half(self, state: State) -> bool:
+        return len(state.parameters) == self.head.tissue.n_params
+
     def landmarks(self, state: State) -> dict[str, dict[str, list[float]]]:
         """Return rest and displacement in mm of the landmarks of both halves."""
         rest, moved = self.head.landmark_points(), self.head.landmark_points(state.parameters)
@@ -168,7 +175,7 @@ class Runner:
         }
 
     def _write_tissue(self, state: State, path: Path) -> None:
-        head = self.head if state.reference is self.problem.mesh else self.head.whole
+        head = self.head if self._on_half(state) else self.head.whole
         volume = tessellate(head.tissue, _VTU_DIVISIONS)
         at = volume.elements, volume.xi
         gradient = state.deformation_gradient(*at)

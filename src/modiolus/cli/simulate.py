@@ -90,11 +90,15 @@ def simulate(
 
 def describe(record: dict[str, Any]) -> str:
     """Return what a person wants to know of a run, in a few lines."""
-    corner = np.array(record["landmarks"]["mouth_corner_left"]["displacement"])
+    left, right = (
+        f"{np.linalg.norm(record['landmarks'][f'mouth_corner_{side}']['displacement']):.1f} mm"
+        for side in ("left", "right")
+    )
+    corners = left if left == right else f"{left} on the left and {right} on the right"
     return (
         f"{record['expression']} on {record['head']}: {record['steps']} steps, "
         f"{record['newton_iterations']} iterations, {record['solve_s']:.1f} s; the corner of the "
-        f"mouth moved {np.linalg.norm(corner):.1f} mm\n"
+        f"mouth moved {corners}\n"
         f"Picture: {record['files']['picture']}\nReport:  {record['files']['report']}"
     )
 

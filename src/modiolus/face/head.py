@@ -207,7 +207,11 @@ class Head:
         ------
         OSError
             The folder cannot be written.
+        ValueError
+            The head is not a half: both sides follow from one.
         """
+        if self.half is not None:
+            raise ValueError(f"{self.name}: save the half, from which both sides follow")
         folder = Path(folder)
         extraction = self.tissue.extraction
         tissue: dict[str, NDArray[Any]] = {
