@@ -65,4 +65,4 @@ def _modiolus(
 
 
 # Each module adds its command to `app`; here at the end, because they need it.
-from modiolus.cli import beam, catalogue, compare, heads, simulate  # noqa: E402, F401
+from modiolus.cli import beam, catalogue, compare, heads, simulate, verify  # noqa: E402, F401
