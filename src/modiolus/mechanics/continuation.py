@@ -329,6 +329,8 @@ class Continuation:
 
     def _account(self, load: Load, reached: float) -> str:
         names = [name for name, value in load.activations.items() if value > 0.0]
+        if load.jaw > 0.0:
+            names.append(f"jaw open by {np.degrees(load.jaw):.3g}°")
         driven = ", ".join(names) if names else "the prescribed displacement"
         return (
             f"continuation: stopped at {reached:.1%} of the load ({driven}); {self._trouble}; "
