@@ -65,4 +65,13 @@ def _modiolus(
 
 
 # Each module adds its command to `app`; here at the end, because they need it.
-from modiolus.cli import beam, catalogue, compare, heads, simulate, verify  # noqa: E402, F401
+from modiolus.cli import (  # noqa: E402, F401
+    beam,
+    catalogue,
+    compare,
+    heads,
+    identify,
+    simulate,
+    validate,
+    verify,
+)

@@ -4,11 +4,11 @@ Minimised is, in mm²::
 
     E(a) = mean r² + m (ALPHA Σ c_k a_k / s_k + BETA Σ (a_k / s_k)²),   0 <= a_k <= 1
 
-with the mean square ``m`` of the distances at the last iterate, so that what is measured well
-counts more than the prior, the distances ``r`` of scan and skin to each other along their normals, the activation
-``s_k`` at which a muscle shows what it does (1 for straps, 0.2 for sheets and rings, which have
-many times their cross-section), and the cost ``c_k`` of a muscle: 1, or `OUTSIDER` for one that
-is not in the prior set.
+with the distances ``r`` of scan and skin to each other along their normals; their mean square
+``m`` at the last iterate, so that the prior counts less where the scan is explained well; the
+activation ``s_k`` at which a muscle shows what it does (1 for straps, 0.2 for sheets and rings,
+which have many times their cross-section); and the cost ``c_k`` of a muscle: 1, or `OUTSIDER` for
+one that is not in the prior set.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from ..errors import SolveError
+from ..errors import SolveError, unknown_name
+from ..face.expression import GROUPS
 from ..face.head import Head
 from ..fitting.register import Registration
 from ..mechanics.continuation import Continuation, Settings
@@ -30,11 +31,31 @@ from ..mechanics.problem import Problem, State
 from .scan import Scan
 from .skin import Feet, Skin
 
-__all__ = ["Identification", "identify"]
+__all__ = ["TABLE_2", "Identification", "identify", "muscle_set"]
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
 
+#: Muscles of the four expressions in table 2 of Wu et al. (2013), by expression.
+TABLE_2: dict[str, tuple[str, ...]] = {
+    "smile-closed": (
+        *("buccinator", "levator_anguli_oris", "orbicularis_oculi_orbital", "risorius"),
+        *("zygomaticus_major", "zygomaticus_minor"),
+    ),
+    "smile-open": (
+        *("depressor_labii_inferioris", "levator_anguli_oris"),
+        *("levator_labii_superioris_alaeque_nasi", "orbicularis_oculi_orbital"),
+        *("zygomaticus_major", "zygomaticus_minor"),
+    ),
+    "sad": (
+        *("corrugator_supercilii", "depressor_anguli_oris", "frontalis", "mentalis"),
+        *("orbicularis_oris", "platysma", "risorius"),
+    ),
+    "terror": (
+        *("depressor_anguli_oris", "depressor_labii_inferioris", "frontalis", "mentalis"),
+        *("platysma", "risorius"),
+    ),
+}
 #: Weights of the sum of the activations and of their squares.
 ALPHA, BETA = 5e-3, 1e-3
 #: Cost of a muscle outside the prior set.
@@ -201,6 +222,30 @@ class _Target:
             np.concatenate([points[seen], near[good]]) - pose.apply(self.middle),
             weight,
         )
+
+
+def muscle_set(names: Sequence[str], head: Head) -> list[str]:
+    """Return the muscles of a head that some names mean.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Muscles, groups of `modiolus.face.expression.GROUPS`, or expressions of `TABLE_2`.
+    head : Head
+
+    Raises
+    ------
+    InputError
+        A name is not known.
+    """
+    wanted: set[str] = set()
+    groups = {**{name: (name,) for name in head.muscles}, **GROUPS}
+    for name in names:
+        for part in TABLE_2.get(name, (name,)):
+            if part not in groups:
+                raise unknown_name("muscle", part, [*groups, *TABLE_2])
+            wanted.update(groups[part])
+    return [name for name in head.muscles if name in wanted]
 
 
 def identify(

@@ -1,0 +1,301 @@
+"""``modiolus validate``: the table of expressions against measured faces."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from modiolus.cli.app import Json, Out, Quiet, app, show
+from modiolus.cli.compare import Landmarks, Unit, text_table
+from modiolus.cli.identify import expression_toml, identified
+from modiolus.cli.outputs import whole_folder
+from modiolus.errors import InputError, SolveError, unknown_name
+from modiolus.progress import Progress
+
+#: Root mean square errors that Wu et al. (2013) report, with activations set by hand (mm).
+PAPER = {"smile-closed": 0.88, "smile-open": 0.93, "sad": 1.43, "terror": 1.40}
+#: Ways to choose the activations.
+WAYS = ("hand", "table2", "all")
+_KINDS = (".ply", ".obj", ".stl", ".vtp", ".xyz")
+
+
+@app.command(epilog="Example: modiolus validate scans/anna --activations hand --out out")
+def validate(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Holds neutral.ply and a surface for every expression."
+        ),
+    ],
+    activations: Annotated[
+        str,
+        typer.Option(
+            "--activations",
+            metavar="hand,table2,all",
+            help="The shipped ones; identified for the muscles of the paper; for all muscles.",
+        ),
+    ] = "hand,table2,all",
+    expressions: Annotated[
+        str,
+        typer.Option("--expressions", metavar="NAME,…", help="Some of the surfaces only."),
+    ] = "",
+    landmarks: Landmarks = None,
+    unit: Unit = "",
+    head: Annotated[
+        str,
+        typer.Option(
+            "--head",
+            metavar="NAME|DIR",
+            help="The person's own head; by default taro is morphed to the neutral surface.",
+        ),
+    ] = "",
+    posed: Annotated[
+        bool,
+        typer.Option("--posed", help="The scans are in one frame and the skull has not moved."),
+    ] = False,
+    out: Out = Path("out"),
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compute the expressions that were measured and tell how far off they are.
+
+    Writes OUT/validate-<folder>/ with a picture and an expression file for every row,
+    validate.html and report.json.
+    """
+    from modiolus.face.head import Head
+    from modiolus.scans.scan import known_unit, read_scan
+
+    known_unit(unit)
+    ways = [way.strip() for way in activations.split(",") if way.strip()]
+    for way in ways:
+        if way not in WAYS:
+            raise unknown_name("way", way, WAYS)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name one with neutral.ply in it")
+    files = _surfaces(folder)
+    if "neutral" not in files:
+        raise InputError(f"{folder}: no neutral surface; put neutral.ply into it")
+    neutral = read_scan(files.pop("neutral"))
+    wanted = [name.strip().replace("_", "-") for name in expressions.split(",") if name.strip()]
+    for name in wanted:
+        if name not in files:
+            raise unknown_name("expression", name, files)
+    scans = {name: read_scan(path) for name, path in files.items() if not wanted or name in wanted}
+    if not scans:
+        raise InputError(f"{folder}: only the neutral surface; add one for every expression")
+    target = out / f"validate-{folder.resolve().name}"
+    chosen = Head.load(head or "taro")
+    with whole_folder(target, marker="report.json") as draft:
+        from modiolus.face.morph import morph_head
+        from modiolus.scans.align import Alignment, align_to_neutral, read_landmarks, register_scan
+        from modiolus.scans.skin import Skin
+
+        quality = None
+        pairs = None if landmarks is None else read_landmarks(landmarks, chosen)
+        if not head:
+            with Progress("morphing the head", quiet=quiet) as progress:
+                chosen, quality = morph_head(
+                    chosen, neutral.surface, pairs, progress.update, folder.resolve().name
+                )
+            (draft / "head").mkdir()
+            chosen.save(draft / "head")
+        skin = Skin(chosen)
+        pairs = None if landmarks is None else read_landmarks(landmarks, chosen)
+        with Progress("aligning the scans", total=len(scans) + 1, quiet=quiet) as progress:
+            pose = register_scan(neutral, skin, unit or None, pairs)
+            alignments = {}
+            for count, (name, scan) in enumerate(scans.items()):
+                progress.update(count + 1, name)
+                alignments[name] = (
+                    Alignment(pose, float("nan"), {})
+                    if posed
+                    else align_to_neutral(scan, neutral, skin, pose)
+                )
+        table = _Table(chosen, skin, neutral.placed(pose), draft, target, quiet)
+        for name, scan in scans.items():
+            table.add(name, scan.placed(alignments[name].pose), alignments[name], ways)
+        record: dict[str, Any] = {
+            "head": chosen.name,
+            "morph": quality,
+            "paper_rms_mm": {name: PAPER.get(name) for name in scans},
+            "table": table.rows,
+            "alignments": {name: item.as_dict() for name, item in alignments.items()},
+            "files": {
+                "page": str(target / "validate.html"),
+                "report": str(target / "report.json"),
+            },
+        }
+        text = table.write_page(draft / "validate.html")
+        (draft / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+    page = record["files"]["page"]
+    show(record, f"{text}\n\nPage: {page}", as_json, quiet)
+    failed = [row["expression"] for row in table.rows if row["rms_mm"] is None]
+    if failed:
+        raise SolveError(f"validate: {', '.join(failed)} did not converge; see {page}")
+
+
+def _surfaces(folder: Path) -> dict[str, Path]:
+    """Return the surfaces of a folder by the name of their expression."""
+    out: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        name = path.stem.replace("_", "-")
+        if path.suffix.lower() not in _KINDS:
+            continue
+        if name in out:
+            raise InputError(f"{path}: there is also {out[name].name}; keep one of them")
+        out[name] = path
+    return out
+
+
+class _Table:
+    """The rows of the table, and the files that go with them."""
+
+    def __init__(
+        self, head: Any, skin: Any, neutral: Any, draft: Path, target: Path, quiet: bool
+    ) -> None:
+        from modiolus.export.scene import FaceScene
+        from modiolus.mechanics.face import face_problem
+
+        self.head, self.skin, self.neutral = head, skin, neutral
+        self.draft, self.target, self.quiet = draft, target, quiet
+        self.problem, self.scene = face_problem(head), FaceScene(head)
+        self.rows: list[dict[str, Any]] = []
+        self._pictures: list[tuple[str, Path]] = []
+
+    def add(self, name: str, scan: Any, alignment: Any, ways: list[str]) -> None:
+        """Compute one expression in every way that applies to it."""
+        from modiolus.face.expression import expression_names
+        from modiolus.scans.identify import TABLE_2
+
+        for way in ways:
+            known = expression_names() if way == "hand" else TABLE_2
+            if way != "all" and name not in known:
+                continue
+            began = time.perf_counter()
+            title = f"{name}, {way}"
+            try:
+                with Progress(title, quiet=self.quiet) as progress:
+                    found, moved, jaw, extra = self._solve(name, scan, way, progress)
+            except SolveError as error:
+                self.rows.append(self._row(name, way, None, began) | {"fault": str(error)})
+                continue
+            self.rows.append(self._row(name, way, found, began) | extra)
+            from modiolus.view.compare import draw_comparison
+
+            picture = self.draft / f"{name}-{way}.png"
+            rest = self.head.tissue.parameters
+            draw_comparison(self.scene, rest, moved, found, title, picture, jaw)
+            self._pictures.append((title, picture))
+            self.rows[-1]["picture"] = str(self.target / picture.name)
+
+    def _solve(
+        self, name: str, scan: Any, way: str, progress: Progress
+    ) -> tuple[Any, Any, float, dict[str, Any]]:
+        """Return comparison, parameters, angle of the jaw, and further figures of a row."""
+        from modiolus.face.expression import Expression, resolve
+        from modiolus.face.jaw import opening
+        from modiolus.mechanics import Continuation
+        from modiolus.mechanics.face import face_load
+        from modiolus.scans.compare import compare
+        from modiolus.scans.identify import TABLE_2, identify, muscle_set
+
+        if way == "hand":
+            expression = Expression.shipped(name)
+            jaw = opening(expression.jaw_open)
+            values = resolve(expression.activations, self.head.muscles)
+            load = face_load(self.problem, self.head, values, jaw)
+            state = Continuation(self.problem, report=progress.update).run(load)
+            found = compare(self.skin, state.parameters, scan, self.neutral)
+            return found, state.parameters, jaw, {"values": values}
+        free = muscle_set([name], self.head) if way == "table2" else list(self.head.muscles)
+        prior = muscle_set([name], self.head) if name in TABLE_2 else []
+        result = identify(
+            self.problem,
+            self.head,
+            scan,
+            skin=self.skin,
+            muscles=free,
+            prior=prior,
+            neutral=self.neutral,
+            report=progress.update,
+        )
+        placed = scan.placed(result.pose)
+        found = compare(self.skin, result.state.parameters, placed, self.neutral)
+        text = expression_toml(f"{name}-{way}", scan.name, result)
+        (self.draft / f"{name}-{way}.toml").write_text(text, encoding="utf-8")
+        facts = identified(result)
+        shift = result.pose.apply(scan.points) - scan.points
+        facts["pose_shift_mm"] = round(float(np.sqrt((shift**2).sum(axis=1).mean())), 3)
+        return found, result.state.parameters, 0.0, {"values": facts.pop("activations"), **facts}
+
+    def _row(self, name: str, way: str, found: Any, began: float) -> dict[str, Any]:
+        seconds = round(time.perf_counter() - began, 1)
+        row: dict[str, Any] = {"expression": name, "activations": way}
+        keys = ("rms_mm", "moved_rms_mm", "still_rms_mm", "explained", "p95_mm", "max_mm")
+        if found is None:
+            return row | dict.fromkeys(keys) | {"seconds": seconds}
+        facts = found.as_dict()
+        matched = facts["matched"]
+        row |= {
+            "rms_mm": facts["error"]["rms_mm"],
+            "moved_rms_mm": facts["moved"]["rms_mm"],
+            "still_rms_mm": facts["still"]["rms_mm"],
+            "explained": facts["explained"],
+            "p95_mm": facts["error"]["p95_mm"],
+            "max_mm": facts["error"]["max_mm"],
+            "seconds": seconds,
+            "still_moved_rms_mm": facts["still_moved"]["rms_mm"],
+            "shape_rms_mm": facts["rest"]["rms_mm"],
+            "reverse_rms_mm": facts["reverse"]["rms_mm"],
+            "coverage": facts["coverage"],
+            "regions": {
+                region: values["error"]["rms_mm"] for region, values in facts["regions"].items()
+            },
+            "matched": None,
+        }
+        if matched is not None:
+            row["matched"] = {
+                "rms_mm": matched["error"]["rms_mm"],
+                "moved_rms_mm": matched["moved"]["rms_mm"],
+                "still_rms_mm": matched["still"]["rms_mm"],
+                "still_moved_rms_mm": matched["still_moved"]["rms_mm"],
+                "explained": matched["explained"],
+            }
+        return row
+
+    def write_page(self, path: Path) -> str:
+        """Write the page with all pictures, and return the table as text."""
+        from modiolus.view.compare import write_page
+
+        headings = (
+            *("expression", "activations", "rms", "paper", "moved", "not moving", "explained"),
+            *("95 %", "max", "matched rms", "not moving", "explained", "seconds"),
+        )
+        lines: list[list[object]] = []
+        for row in self.rows:
+            matched = row.get("matched") or {}
+            lines.append(
+                [
+                    *(row["expression"], row["activations"], row["rms_mm"]),
+                    *(PAPER.get(row["expression"]), row["moved_rms_mm"], row["still_rms_mm"]),
+                    *(row["explained"], row["p95_mm"], row["max_mm"], matched.get("rms_mm")),
+                    *(matched.get("still_rms_mm"), matched.get("explained"), row["seconds"]),
+                ]
+            )
+        notes = [
+            "Distances in mm from the points of the scan to the skin, weighted by area, over the "
+            "face that the model covers; 'moved' is where the scan is more than 1 mm from the "
+            "neutral one. 'Not moving' is the same for the model at rest. 'Explained' is 1 - rms "
+            "error / rms of not moving, both over the moved region.",
+            "'Matched' compares the displacements of the same points, where the scans are one "
+            "mesh in several states; it also sees what slides along the surface.",
+            "Paper: Wu et al. 2013, activations set by hand.",
+        ]
+        title = f"{self.head.name}: computed against measured expressions"
+        write_page(path, title, notes, [("Table", headings, lines)], self._pictures)
+        return text_table(headings, lines)
