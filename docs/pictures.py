@@ -5,6 +5,7 @@ from pathlib import Path
 from modiolus.cli.run import Runner
 from modiolus.face.expression import Expression, resolve
 from modiolus.face.head import Head
+from modiolus.face.jaw import opening
 from modiolus.view.face import VIEWS, face_camera
 from modiolus.view.figure import Panel, figure
 from modiolus.view.muscles import draw_muscles
@@ -16,21 +17,49 @@ def draw_expressions(head: Head, names: list[str]) -> None:
     """Draw the face at rest and in expressions, from the front and from the side."""
     runner = Runner(head)
     rest = head.tissue.parameters
-    states = [("at rest", rest)]
+    states = [("at rest", rest, 0.0)]
     for name in names:
         expression = Expression.shipped(name)
-        state = runner.solve(name, resolve(expression.activations, head.muscles))
-        states.append((expression.title, state.parameters))
+        activations = resolve(expression.activations, head.muscles)
+        state = runner.solve(name, activations, opening(expression.jaw_open))
+        states.append((expression.title, state.parameters, state.load.jaw))
     panels = [
         Panel(
             face_camera(runner.scene, rest, view),
-            runner.scene.shapes(moved),
+            runner.scene.shapes(moved, jaw=jaw),
             title=title if view == "front" else "",
         )
         for view in VIEWS
-        for title, moved in states
+        for title, moved, jaw in states
     ]
     figure(panels, IMAGES / "expressions.png", columns=len(states), panel_size=(360, 420))
+
+
+def draw_sides_and_jaw(head: Head) -> None:
+    """Draw faces that differ left and right, and faces with the jaw open."""
+    runner = Runner(head)
+    rest = head.tissue.parameters
+    states = []
+    for name, title, palsy, degrees in (
+        ("wink", "Wink", "", 0.0),
+        ("smirk", "Smirk", "", 0.0),
+        ("smile-closed", "Smile, right side palsied", "right", 0.0),
+        ("smile-open", "Smile, jaw open by 8°", "", 8.0),
+        ("terror", "Terror, jaw open by 12°", "", 12.0),
+    ):
+        activations = resolve(Expression.shipped(name).activations, head.muscles, palsy)
+        state = runner.solve(name, activations, opening(degrees))
+        states.append((title, state.parameters, state.load.jaw))
+    panels = [
+        Panel(
+            face_camera(runner.scene, rest, view),
+            runner.scene.shapes(moved, jaw=jaw),
+            title=title if view == "front" else "",
+        )
+        for view in VIEWS
+        for title, moved, jaw in states
+    ]
+    figure(panels, IMAGES / "sides-and-jaw.png", columns=len(states), panel_size=(360, 420))
 
 
 if __name__ == "__main__":
@@ -38,3 +67,4 @@ if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     draw_muscles(taro, "Muscles of the left side · taro", IMAGES / "muscles.png")
     draw_expressions(taro, ["smile-closed", "smile-open", "sad", "terror"])
+    draw_sides_and_jaw(taro)

@@ -84,7 +84,8 @@ def simulate(
 
         runner = Runner(chosen, quiet, head)
         state = runner.solve(wanted.name, activations, jaw)
-        record = runner.write(wanted.name, wanted.title, state, folder, target, began)
+        title = f"{wanted.title or wanted.name}, {palsy} side palsied" if palsy else wanted.title
+        record = runner.write(wanted.name, title, state, folder, target, began)
     show(record, describe(record), as_json, quiet)
 
 
