@@ -62,13 +62,14 @@ DEPTHS: dict[tuple[float, float], float] = {
     (0, 5): 16, (4, 5): 16, (8, 5): 19, (12, 5): 13,
     (0, 7): 11, (2, 7): 11, (3, 7): 6, (4, 7): 7.5, (5, 7): 12, (6, 7): 17, (8, 7): 20,
     (10, 7): 18, (12, 7): 12,
-    (0, 9): 8.5, (4, 9): 13, (6, 9): 18, (8, 9): 18, (12, 9): 10,
+    (0, 9): 8.5, (2, 9): 9.2, (4, 9): 13, (6, 9): 18, (8, 9): 18, (12, 9): 10,
     (0, 10): 6, (2, 10): 7, (3, 10): 8.5, (4, 10): 12, (5, 10): 16, (8, 10): 17, (12, 10): 8,
     (0, 11): 3.5, (1, 11): 3.5, (2, 11): 4, (3, 11): 4.5, (4, 11): 11, (5, 11): 16,
     (8, 11): 15, (10, 11): 7, (12, 11): 6,
     (0, 12): 3, (1, 12): 3, (2, 12): 3.5, (3, 12): 5, (4, 12): 11, (6, 12): 15, (8, 12): 12,
     (12, 12): 8,
     (0, 13): 4, (2, 13): 5, (3, 13): 7, (5, 13): 9, (7, 13): 9, (9, 13): 8, (12, 13): 7,
+    (4, 13.5): 8, (5, 13.5): 8.5, (6, 13.5): 8, (5, 14.5): 6.5,
     (2, 14): 6, (3, 14): 5, (5, 14): 3, (7, 14): 5, (8, 14): 6, (9, 14): 7, (12, 14): 7,
     (0, 15): 8, (3, 15): 7, (5, 15): 6, (7, 15): 7, (9, 15): 7, (12, 15): 7,
     (0, 16): 8, (3, 16): 8, (5, 16): 8, (7, 16): 8, (9, 16): 7, (12, 16): 7,
@@ -372,14 +373,14 @@ def _fit_envelope(
     hard = {name: grid for name, grid in deep.items() if name not in ("cartilage", "masseter")}
     smoothing = Smoothing(first=1e-4, second=5e-3)
     targets = arrived.copy()
-    for _ in range(5):
+    for _ in range(12):
         place = PointTarget("envelope", lattice.elements, lattice.xi, targets)
         result = fit(start, [place], smoothing, fixed, iterations=1)
         distance, gradient = _nearest(hard, result.mesh.evaluate(lattice.elements, lattice.xi))
         lack = np.clip(0.5 * MARGIN - distance, 0.0, 1.0)
         if lack.max() < 0.02:
             break
-        targets += lack[:, None] * gradient
+        targets += 1.5 * lack[:, None] * gradient
     return result
 
 
