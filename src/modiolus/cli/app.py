@@ -71,6 +71,7 @@ from modiolus.cli import (  # noqa: E402, F401
     compare,
     heads,
     identify,
+    morph,
     simulate,
     validate,
     verify,

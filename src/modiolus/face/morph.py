@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ..anatomy.distance import DistanceGrid
@@ -25,7 +26,7 @@ from ..fitting import PointTarget, Registration, Smoothing, fit, icp, register
 from ..fitting.register import Matcher
 from ..hermite import HermiteMesh, grid
 from ..hermite.basis import Array
-from .embed import boundary_surface, inside_fraction
+from .embed import boundary_surface
 from .head import Head, RigidSurface
 from .margins import Margins, find_margins
 from .muscle import Muscle
@@ -43,8 +44,12 @@ _SKIN_SMOOTHING = ((1e-1, 1.0), (3e-2, 0.3), (1e-2, 0.1), (3e-3, 3e-2), (1e-3, 1
 _THROUGH = 1.0
 #: Weight of a point of a margin relative to one of the skin.
 _MARGIN_WEIGHT = 8.0
+#: Weight of a point of the cuts at neck and scalp, which keep their height.
+_CUT_WEIGHT = 0.3
 #: Farthest match (mm) in the first and in the last step.
 _REACH = (20.0, 3.0)
+#: The inner surface lies on the eyeball up to this distance (mm).
+_ON_BALL = 1.5
 #: Least cosine between the normals of matched points.
 _ALIGNED = 0.5
 #: Distance (mm) over which the last correction fades outside the tissue.
@@ -208,6 +213,46 @@ def _rigid(item: RigidSurface, mapping: Map, size: float) -> RigidSurface:
     return RigidSurface(item.name, DistanceGrid.of([moved], item.distance.spacing * size))
 
 
+def _eyeball(head: Head, after: HermiteMesh) -> RigidSurface:
+    """Put a ball of the old one's radius behind the new lids, as far from them as it was.
+
+    Adults' eyes hardly differ in size, whatever the face's.
+    """
+    import pyvista
+
+    item = head.deep["eyeball"]
+    old = closed_surface(item.distance).vertices
+    centre, radius = _sphere(old)
+    elements, axis, side = head.sides["inner"]
+    local, xi, _ = head.tissue.face(elements, axis, side).gauss_points(4)
+    places = np.insert(xi, axis, float(side), axis=1)
+    gap = item.distance.sample(head.tissue.evaluate(elements[local], places)).distance
+    lids = gap < _ON_BALL
+    rest = head.tissue.evaluate(elements[local][lids], places[lids])
+    points = after.evaluate(elements[local][lids], places[lids])
+    wanted = np.linalg.norm(rest - centre, axis=1)
+    new = centre + (points - rest).mean(axis=0)
+    for _ in range(20):
+        away = points - new
+        length = np.linalg.norm(away, axis=1)
+        direction = away / length[:, None]
+        # The lids say little of where the ball is sideways: there it stays in their middle.
+        matrix = direction.T @ direction + 0.3 * len(points) * np.diag([1.0, 0.0, 1.0])
+        pull = (points - rest).mean(axis=0) + centre - new
+        right = direction.T @ (length - wanted) + 0.3 * len(points) * pull * [1.0, 0.0, 1.0]
+        new = new + np.linalg.solve(matrix, right)
+    ball = pyvista.Icosphere(radius=radius, center=new, nsub=4)
+    surface = Surface(ball.points, ball.regular_faces, "eyeball")
+    return RigidSurface("eyeball", DistanceGrid.of([surface], item.distance.spacing))
+
+
+def _sphere(points: Array) -> tuple[Array, float]:
+    """Return centre and radius of the sphere through points (n, 3), least squares."""
+    matrix = np.column_stack([2.0 * points, np.ones(len(points))])
+    *centre, rest = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0]
+    return np.array(centre), float(np.sqrt(rest + np.sum(np.square(centre))))
+
+
 def closed_surface(distance: DistanceGrid) -> Surface:
     """Return the surface of a structure, closed where the grid cuts it off."""
     values = np.pad(distance.values, 2, constant_values=np.int8(127))
@@ -264,9 +309,11 @@ class _Skin:
     elements: NDArray[np.int64]
     xi: Array
     margins: dict[str, tuple[NDArray[np.int64], Array]]
+    cuts: PointTarget
 
     @classmethod
     def of(cls, head: Head, samples: int = 5) -> _Skin:
+        """Take the samples of a head, with so many a direction in every element."""
         elements, axis, side = head.sides["outer"]
         face = head.tissue.face(elements, axis, side)
         local, xi, _ = face.gauss_points(samples)
@@ -277,7 +324,16 @@ class _Skin:
             place = np.zeros((len(ticks), 3))
             place[:, 0], place[:, along], place[:, axis] = ticks, end, side
             margins[name] = (np.repeat(cells, len(ticks)), np.tile(place, (len(cells), 1)))
-        return cls(elements[local], np.insert(xi, axis, float(side), axis=1), margins)
+        parts = []
+        for name in ("neck", "scalp"):
+            cells, along, end = head.sides[name]
+            rule = head.tissue.face(cells, along, end).gauss_points(3)
+            parts.append((cells[rule[0]], np.insert(rule[1], along, float(end), axis=1)))
+        cells, places = (np.concatenate(part) for part in zip(*parts, strict=True))
+        rest = head.tissue.evaluate(cells, places)
+        up = np.tile([0.0, 0.0, 1.0], (len(rest), 1))
+        cuts = PointTarget("cuts", cells, places, rest, _CUT_WEIGHT, up)
+        return cls(elements[local], np.insert(xi, axis, float(side), axis=1), margins, cuts)
 
 
 def margin_targets(skin: _Skin, mesh: HermiteMesh, margins: Margins) -> list[PointTarget]:
@@ -354,7 +410,7 @@ def _deformed(
             for good, there, facing in found
             if good.any()
         ]
-        for edge in edges:
+        for edge in [*edges, skin.cuts]:
             element, xi, _ = host.places(head.tissue.evaluate(edge.elements, edge.xi))
             targets.append(replace(edge, elements=element, xi=xi))
         smoothing = Smoothing(first=0.0, second=weight, relative=True)
@@ -366,16 +422,12 @@ def _deformed(
 def _moved_normals(head: Head, host: _Host, skin: _Skin) -> Array:
     """Return the normals of the outer surface after the host's deformation."""
     _, axis, _ = head.sides["outer"]
-    step = 1e-3
     first, second = (k for k in range(3) if k != axis)
-    tangents = []
     jacobian = head.tissue.jacobian(skin.elements, skin.xi)
     points = head.tissue.evaluate(skin.elements, skin.xi)
-    for k in (first, second):
-        tangents.append(
-            host(points + step * jacobian[:, :, k]) - host(points - step * jacobian[:, :, k])
-        )
-    normal = np.cross(*tangents)
+    steps = (1e-3 * jacobian[:, :, first], 1e-3 * jacobian[:, :, second])
+    along, across = (host(points + step) - host(points - step) for step in steps)
+    normal = np.cross(along, across)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
@@ -406,7 +458,7 @@ def _fitted(
             second=(second, second, _THROUGH, second, _THROUGH, _THROUGH),
             relative=True,
         )
-        mesh = fit(start, [*targets, *margins], smoothing, held, iterations=1).mesh
+        mesh = fit(start, [*targets, *margins, skin.cuts], smoothing, held, iterations=1).mesh
     return mesh
 
 
@@ -430,10 +482,13 @@ class _Whole:
         side = np.where(grown[:, 0] < plane, -1.0, 1.0)
         grown[:, 0] = plane + side * (grown[:, 0] - plane)
         moved = self.host(grown)
-        place = self.before.locate(grown)
-        nearest = self.before.evaluate(place.elements, place.xi)
-        shift = self.after.evaluate(place.elements, place.xi) - self.host(nearest)
-        moved += np.exp(-((place.distance / _FADE) ** 2))[:, None] * shift
+        tissue = cKDTree(self.before.evaluate(*_samples(self.before, 4)))
+        near = np.flatnonzero(tissue.query(grown)[0] < 3.0 * _FADE)
+        if len(near):
+            place = self.before.locate(grown[near])
+            at = place.elements, place.xi
+            shift = self.after.evaluate(*at) - self.host(self.before.evaluate(*at))
+            moved[near] += np.exp(-((place.distance / _FADE) ** 2))[:, None] * shift
         moved[:, 0] = plane + side * (moved[:, 0] - plane)
         return moved
 
@@ -465,7 +520,7 @@ def morph_head(
     head : Head
         In the frame of the old one and in the size of the surface.
     quality : dict
-        Figures of the fit and the gates: see `modiolus.face.gates`.
+        Figures of the fit, see `gates`.
 
     Raises
     ------
@@ -480,7 +535,7 @@ def morph_head(
     tell(0.3, "margins of lips and lids")
     before = _carried(head.tissue, aligned.grown, _plane_mask(head))
     grown = replace(head, tissue=before)
-    skin = _Skin.of(grown)
+    skin = _Skin.of(grown, 4)
     scans = [Matcher(aligned.surface, 4000)]
     scans.append(Matcher(aligned.surface.mirrored(head.midplane), 4000))
     margins = _both_margins(grown, skin, scans)
@@ -495,6 +550,8 @@ def morph_head(
     muscles = {key: _muscle(muscle, whole) for key, muscle in head.muscles.items()}
     tell(0.75, "deep structures")
     deep = {key: _rigid(item, whole, aligned.size) for key, item in head.deep.items()}
+    if "eyeball" in deep:
+        deep["eyeball"] = _eyeball(head, after)
     morphed = replace(head, name=name, tissue=after, muscles=muscles, deep=deep, about={})
     tell(0.9, "quality")
     quality = morph_quality(head, morphed, aligned, edges)
@@ -535,24 +592,24 @@ def morph_quality(
     head: Head, morphed: Head, aligned: Aligned, margins: list[PointTarget]
 ) -> dict[str, Any]:
     """Measure a morphed head against the scan and against the head that it was made from."""
-    from .template import NECK_CUT
-
     mesh = morphed.tissue
     elements, xi, _ = mesh.gauss_points(4)
     error, share = scan_error(morphed, aligned.surface)
+    seen = _seen(morphed, aligned.surface)
     old, new = (thickness(item) for item in (head, morphed))
     ratio = new / (aligned.size * old)
-    neck = head.tissue.face(*head.sides["neck"])
-    lowest = neck.evaluate(*neck.gauss_points(4)[:2])[:, 2].max()
+    was = float(head.tissue.measures().sum())
     quality: dict[str, Any] = {
         "size": round(aligned.size, 4),
         "scan_rms_mm": round(float(np.sqrt(np.mean(error**2))), 3),
         "scan_p95_mm": round(float(np.percentile(error, 95)), 3),
         "scan_max_mm": round(float(error.max()), 3),
         "scan_covered": round(share, 3),
+        "skin_seen": round(seen, 3),
         "min_jacobian": round(float(np.linalg.det(mesh.jacobian(elements, xi)).min()), 3),
         "min_scaled_jacobian": round(float(mesh.scaled_jacobian(elements, xi).min()), 3),
         "volume_mm3": round(float(mesh.measures().sum())),
+        "volume_ratio": round(float(mesh.measures().sum()) / (aligned.size**3 * was), 3),
         "least_thickness_mm": round(float(new.min()), 2),
         "thickness_ratio": [round(float(v), 2) for v in np.percentile(ratio, [1, 50, 99])],
     }
@@ -565,12 +622,84 @@ def morph_quality(
         if gaps:
             rms = float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
             quality[f"{part}_margins_rms_mm"] = round(rms, 3)
-    del lowest
-    quality["inside"] = {
-        key: round(inside_fraction(mesh, muscle, NECK_CUT), 4)
-        for key, muscle in morphed.muscles.items()
-    }
+    before, after = _inside(head, morphed)
+    quality["inside"] = {key: round(value, 4) for key, value in after.items()}
+    quality["inside_lost"] = round(max(before[key] - after[key] for key in before), 4)
+    least = min(
+        float(np.linalg.det(muscle.mesh.jacobian(*muscle.mesh.gauss_points(3)[:2])).min())
+        for muscle in morphed.muscles.values()
+    )
+    quality["muscles_min_jacobian"] = round(least, 4)
     return quality
+
+
+def _inside(head: Head, morphed: Head) -> tuple[dict[str, float], dict[str, float]]:
+    """Return which share of every muscle lies in the tissue, before and after.
+
+    What lies below the cut through the neck does not count.
+    """
+    neck = head.tissue.face(*head.sides["neck"])
+    cut = neck.evaluate(*neck.gauss_points(4)[:2])[:, 2].max()
+    shares: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    for name, muscle in head.muscles.items():
+        elements, xi, _ = muscle.mesh.gauss_points(3)
+        kept = muscle.mesh.evaluate(elements, xi)[:, 2] >= cut
+        for part, share in zip((head, morphed), shares, strict=True):
+            rule = part.muscles[name].mesh.quadrature(3)
+            points = part.muscles[name].mesh.evaluate(elements, xi)
+            within = part.tissue.locate(points[kept]).distance < 1e-3
+            weights = rule.weights[kept]
+            share[name] = float(weights[within].sum() / weights.sum()) if kept.any() else 1.0
+    return shares
+
+
+@dataclass(frozen=True)
+class Gate:
+    """A figure of a morphed head with the bounds that it has to keep."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the figure is within its bounds."""
+        return self.low <= self.value <= self.high
+
+
+#: Figures of `morph_quality` with the bounds that they have to keep.
+GATES: dict[str, tuple[float, float]] = {
+    "scan_rms_mm": (0.0, 0.5),
+    "skin_seen": (0.4, 1.0),
+    "lip_margins_rms_mm": (0.0, 0.5),
+    "lid_margins_rms_mm": (0.0, 0.5),
+    "min_jacobian": (1e-3, np.inf),
+    "min_scaled_jacobian": (0.1, 1.0),
+    "least_thickness_mm": (1.0, np.inf),
+    "volume_ratio": (0.75, 1.33),
+    "muscles_min_jacobian": (0.0, np.inf),
+    "inside_lost": (-1.0, 0.03),
+}
+
+
+def gates(quality: dict[str, Any]) -> list[Gate]:
+    """Return the gates of a morphed head; figures that a scan does not give are left out."""
+    return [Gate(name, quality[name], *GATES[name]) for name in GATES if name in quality]
+
+
+def quality_text(quality: dict[str, Any]) -> str:
+    """Return figures and verdicts of a morphed head as plain text."""
+    lines = [f"{'figure':26} {'value':>9}  wanted"]
+    for gate in gates(quality):
+        bounds = [f"from {gate.low:g}"] if gate.low > 0.0 else []
+        bounds += [f"up to {gate.high:g}"] if np.isfinite(gate.high) else []
+        verdict = "ok" if gate.passed else "FAILED"
+        lines.append(f"{gate.name:26} {gate.value:9.3f}  {' '.join(bounds):20} {verdict}")
+    for name, value in quality.items():
+        if name not in GATES and not isinstance(value, dict):
+            lines.append(f"{name:26} {value!s:>9}")
+    return "\n".join(lines)
 
 
 def thickness(head: Head) -> Array:
@@ -597,6 +726,16 @@ def scan_error(head: Head, surface: Surface) -> tuple[Array, float]:
     near, facing, good = skin.matches(points, 10.0)
     good &= np.einsum("ni,ni->n", facing, normals) > 0.3
     return np.linalg.norm(near - points, axis=1)[good], float(good.mean())
+
+
+def _seen(head: Head, surface: Surface) -> float:
+    """Return which share of the skin the scan shows, on one side at least."""
+    skin = _Skin.of(head, 4)
+    points = head.tissue.evaluate(skin.elements, skin.xi)
+    normals = _outer_normals(head, head.tissue, skin)
+    scans = [Matcher(part, 1000) for part in (surface, surface.mirrored(head.midplane))]
+    found = [good for good, _, _ in _matches(scans, points, normals, 2.0)]
+    return float(np.any(found, axis=0).mean())
 
 
 def vertex_normals(surface: Surface) -> Array:

@@ -206,6 +206,8 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
     """Project a target onto the current mesh."""
     if isinstance(target, PointTarget):
         operator = mesh.functions(target.elements, target.xi)
+        # On a face most functions vanish: the products below need not carry them.
+        operator.eliminate_zeros()
         weight = np.broadcast_to(target.weight, len(target.points))
         return _Residual(
             operator,
@@ -322,7 +324,14 @@ def _solve(
     free: NDArray[np.int64],
 ) -> Array:
     if constraints is None:
-        return np.asarray(splu(matrix.tocsc()).solve(right))
+        # Symmetric and positive definite: an ordering of A + A^T and no pivoting fill less.
+        factors = splu(
+            matrix.tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return np.asarray(factors.solve(right))
     rows, values = constraints
     defect = values - rows @ current.ravel()
     block = sp.bmat([[matrix, rows[:, free].T], [rows[:, free], None]], format="csc")

@@ -1,0 +1,184 @@
+"""``modiolus morph``: a head for another face."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.outputs import whole_folder
+from modiolus.errors import InputError, SolveError, unknown_name
+from modiolus.progress import Progress
+
+if TYPE_CHECKING:
+    from modiolus.face.head import Head
+
+#: Landmarks of a head by their number among the 68 of Multi-PIE.
+MULTI_PIE = {
+    "18": "outer_brow_right",
+    "22": "inner_brow_right",
+    "23": "inner_brow_left",
+    "27": "outer_brow_left",
+    "32": "ala_right",
+    "36": "ala_left",
+    "49": "mouth_corner_right",
+    "55": "mouth_corner_left",
+    "63": "upper_lip_mid",
+    "67": "lower_lip_mid",
+}
+#: A file of landmarks larger than this (bytes) is none.
+_LARGEST = 2**20
+
+
+@app.command(
+    epilog="Examples: modiolus morph taro --to face.ply --out heads/anna · "
+    "modiolus morph taro --to face.obj --landmarks points.csv --out heads/anna --json"
+)
+def morph(
+    head: Annotated[
+        str, typer.Argument(metavar="HEAD", help="A shipped head, or a folder with one.")
+    ],
+    to: Annotated[
+        Path, typer.Option("--to", metavar="SURFACE", help="Skin of a face: PLY, STL or OBJ.")
+    ],
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Landmarks on the surface: columns name (of the head's landmarks) or "
+            "multi_pie_index, and x, y, z. Without them the pose is found.",
+        ),
+    ] = None,
+    notice: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Licence of the surface, to lie beside the head."),
+    ] = None,
+    subject: Annotated[
+        str, typer.Option(metavar="TEXT", help="Who it is, for the head's description.")
+    ] = "",
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the head.")] = Path(
+        "head"
+    ),
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Morph a head to the surface of a face and write it into the folder DIR.
+
+    The surface may have any pose and be in mm, cm or m. The head is called what the folder is
+    called. When the result fails one of its gates nothing is written and the exit code is 1.
+    """
+    from modiolus.anatomy.surface import read_surface
+    from modiolus.face.head import Head
+    from modiolus.face.morph import gates, morph_head, quality_text
+
+    source = Head.load(head)
+    surface = read_surface(to)
+    pairs = None if landmarks is None else read_landmarks(landmarks, source)
+    if notice is not None and not notice.is_file():
+        raise InputError(f"--notice {notice}: no such file; check the path")
+    name = out.absolute().name
+    with whole_folder(out, marker="head.toml") as folder:
+        with Progress(f"morphing {source.name}", quiet=quiet) as progress:
+            morphed, quality = morph_head(source, surface, pairs, progress.update, name)
+        failed = [gate for gate in gates(quality) if not gate.passed]
+        if failed:
+            if not quiet:
+                sys.stderr.write(quality_text(quality) + "\n")
+            faults = ", ".join(f"{gate.name} is {gate.value:g}" for gate in failed)
+            raise SolveError(
+                f"{to}: the morphed head is not sound ({faults}); nothing was written; give "
+                "landmarks, or a scan that shows more of the face"
+            )
+        about = dict(source.about)
+        about["subject"] = subject or f"the face of {to.name}"
+        about["source"] = f"{about.get('source', source.name)}; surface {to.name}"
+        about["changes"] = (
+            f"{about.get('changes', '')}; morphed from {source.name} to the surface {to.name}"
+        ).lstrip("; ")
+        if notice is not None:
+            about["attribution"] = (
+                f"{about.get('attribution', '')} The surface of the face is under the licence in "
+                "LICENSE-surface."
+            ).lstrip()
+            shutil.copyfile(notice, folder / "LICENSE-surface")
+        about["morphed_from"] = source.name
+        about["quality"] = quality
+        morphed.about.update(about)
+        morphed.save(folder)
+        verdicts = [
+            {
+                "name": gate.name,
+                "value": gate.value,
+                "low": gate.low,
+                "high": gate.high if math.isfinite(gate.high) else None,
+                "passed": gate.passed,
+            }
+            for gate in gates(quality)
+        ]
+        record = {
+            "head": name,
+            "morphed_from": source.name,
+            "quality": quality,
+            "gates": verdicts,
+            "files": {"folder": str(out)},
+        }
+        (folder / "report.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    text = f"{quality_text(quality)}\n\nHead: {out}"
+    text += f"\nUse it with: modiolus simulate smile-closed --head {out}"
+    show(record, text, as_json, quiet)
+
+
+def read_landmarks(path: Path, head: Head) -> tuple[np.ndarray, np.ndarray]:
+    """Read landmarks of a surface and pair them with those of a head.
+
+    Returns
+    -------
+    surface, head : (n, 3) arrays
+        The same landmarks on the surface, in its own frame, and on the head.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has fewer than three landmarks that the head knows.
+    """
+    known = head.landmark_points()
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{path}: too large for a table of landmarks; give another file")
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a table of text; write it as CSV") from error
+    here, there = [], []
+    for number, row in enumerate(rows, start=2):
+        numbered = "multi_pie_index" in row
+        name = row.get("multi_pie_index") if numbered else row.get("name")
+        if name is None:
+            raise InputError(f"{path}: no column 'name' nor 'multi_pie_index'; add one")
+        name = name.strip()
+        if numbered:
+            if name not in MULTI_PIE:
+                continue
+            name = MULTI_PIE[name]
+        if name not in known:
+            raise unknown_name("landmark", name, known)
+        try:
+            point = [float(row.get(axis) or row[f"{axis}_mm"]) for axis in "xyz"]
+        except (KeyError, TypeError, ValueError):
+            point = [math.nan]
+        if not np.isfinite(point).all():
+            raise InputError(f"{path}: line {number} has no numbers x, y and z; mend it")
+        here.append(point)
+        there.append(known[name])
+    if len(here) < 3:
+        raise InputError(f"{path}: {len(here)} landmarks that the head knows; give at least three")
+    return np.array(here), np.array(there)

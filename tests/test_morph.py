@@ -1,0 +1,189 @@
+"""Morphing a head to the surface of another face."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from modiolus.anatomy import Surface, read_surface
+from modiolus.cli import _run
+from modiolus.cli.morph import read_landmarks
+from modiolus.errors import InputError
+from modiolus.face.head import Head, head_names
+from modiolus.face.margins import find_margins
+from modiolus.face.morph import (
+    align,
+    closed_surface,
+    gates,
+    morph_head,
+    plane_mask,
+    quality_text,
+    skin_surface,
+    thickness,
+)
+
+ICT = Path(__file__).parents[2] / "shared" / "scans" / "ict"
+needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the scans are not beside the project")
+
+
+@pytest.fixture(scope="module")
+def taro() -> Head:
+    return Head.load("taro")
+
+
+def warp(points: np.ndarray, plane: float) -> np.ndarray:
+    """A smooth change of a face by up to 8 mm, the same on both sides."""
+    x, y, z = points.T
+    aside = x - plane
+    nose = np.exp(-((aside / 25) ** 2) - ((z - 1500) / 30) ** 2)
+    jaw = np.exp(-(((z - 1445) / 35) ** 2))
+    return np.column_stack(
+        [plane + aside * (1.0 + 0.10 * jaw), y - 6.0 * nose, z - 5.0 * jaw + 3.0 * nose]
+    )
+
+
+@pytest.fixture(scope="module")
+def morphed(taro: Head) -> tuple[Head, dict, np.ndarray]:
+    """Taro morphed to its own skin, warped, turned round and in metres."""
+    skin = skin_surface(taro, 8)
+    there = warp(skin.vertices, taro.midplane)
+    turn = Rotation.from_euler("z", 180, degrees=True)
+    scan = Surface(turn.apply(there) / 1000.0 + 0.4, skin.faces, "warped")
+    head, quality = morph_head(taro, scan, name="warped")
+    return head, quality, there
+
+
+def test_a_known_warp_is_recovered(morphed: tuple[Head, dict, np.ndarray]) -> None:
+    head, quality, there = morphed
+    assert quality["scan_rms_mm"] < 0.25
+    assert quality["scan_covered"] > 0.9
+    assert quality["lip_margins_rms_mm"] < 0.5
+    assert all(gate.passed for gate in gates(quality)), quality_text(quality)
+    # The size was measured in the pose that the morph chose.
+    assert np.ptp(skin_surface(head).vertices, axis=0) == pytest.approx(
+        np.ptp(there, axis=0), abs=2.0
+    )
+
+
+def test_the_inside_follows_the_skin(taro: Head, morphed: tuple[Head, dict, np.ndarray]) -> None:
+    head, quality, _ = morphed
+    ratio = thickness(head) / thickness(taro) / quality["size"]
+    assert np.percentile(np.abs(ratio - 1.0), 95) < 0.15
+    assert quality["inside_lost"] < 0.03
+    assert quality["muscles_min_jacobian"] > 0.0
+    assert set(head.muscles) == set(taro.muscles)
+    assert set(head.deep) == set(taro.deep)
+
+
+def test_bones_keep_their_distance(taro: Head, morphed: tuple[Head, dict, np.ndarray]) -> None:
+    head, quality, _ = morphed
+    elements, axis, side = taro.sides["inner"]
+    face = taro.tissue.face(elements, axis, side)
+    local, xi, _ = face.gauss_points(3)
+    at = elements[local], np.insert(xi, axis, float(side), axis=1)
+    for name in ("skull", "mandible"):
+        old = taro.deep[name].distance.sample(taro.tissue.evaluate(*at)).distance
+        new = head.deep[name].distance.sample(head.tissue.evaluate(*at)).distance
+        near = np.abs(old) < 2.0
+        assert np.sqrt(np.mean((new - quality["size"] * old)[near] ** 2)) < 0.3
+
+
+def test_the_morphed_head_still_mirrors(taro: Head, morphed: tuple[Head, dict, np.ndarray]) -> None:
+    head = morphed[0]
+    held = plane_mask(taro.tissue, *taro.sides["midplane"])
+    gap = np.abs(head.tissue.parameters - taro.tissue.parameters)[held]
+    # What the mirror condition holds is a coordinate of the plane or a slope of zero.
+    assert gap.max() < 1e-9
+    assert head.both.mesh.n_elements == 2 * head.tissue.n_elements
+
+
+def test_the_eyeball_stays_a_ball_of_its_size(
+    taro: Head, morphed: tuple[Head, dict, np.ndarray]
+) -> None:
+    sizes = []
+    for head in (taro, morphed[0]):
+        points = closed_surface(head.deep["eyeball"].distance).vertices
+        sizes.append(np.ptp(points, axis=0))
+    np.testing.assert_allclose(sizes[1], sizes[0], atol=0.2)
+
+
+def test_a_surface_inside_out_is_refused(taro: Head) -> None:
+    skin = skin_surface(taro, 4)
+    with pytest.raises(InputError, match="inwards, or the scan is mirrored"):
+        align(taro, Surface(skin.vertices, skin.faces[:, ::-1], "scan"))
+
+
+def test_a_flat_sheet_has_no_margins() -> None:
+    ticks = np.linspace(-60.0, 60.0, 30)
+    x, z = np.meshgrid(ticks, ticks)
+    vertices = np.column_stack([x.ravel(), np.zeros(900), z.ravel()])
+    k = np.arange(900).reshape(30, 30)[:-1, :-1].ravel()
+    faces = np.vstack(
+        [np.column_stack([k, k + 1, k + 30]), np.column_stack([k + 1, k + 31, k + 30])]
+    )
+    found = find_margins(Surface(vertices, faces), np.zeros(3), np.array([30.0, 0.0, 30.0]))
+    assert found.lips is None
+    assert found.lid_upper is None
+    assert found.lid_lower is None
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("x,y,z\n1,2,3\n", "no column"),
+        ("name,x,y,z\nmouth_corner_left,1,2,3\n", "at least three"),
+        ("name,x,y,z\nmouth_corner_lft,1,2,3\n", "mouth_corner_left"),
+        ("name,x,y,z\nmouth_corner_left,1,2,nan\n", "line 2"),
+    ],
+)
+def test_landmarks_are_checked(tmp_path: Path, taro: Head, text: str, fault: str) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=fault):
+        read_landmarks(path, taro)
+
+
+def test_a_surface_that_is_no_face_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "triangle.ply"
+    path.write_text("ply\nformat ascii 1.0\nelement vertex 3\n")
+    code = _run(["morph", "taro", "--to", str(path), "--out", str(tmp_path / "head"), "--json"])
+    assert code == 2
+    assert capsys.readouterr().out == ""
+    assert not (tmp_path / "head").exists()
+
+
+@pytest.mark.skipif("ict" not in head_names(), reason="the head ict is not built")
+def test_the_shipped_ict_head_passes_its_gates() -> None:
+    head = Head.load("ict")
+    quality = head.about["quality"]
+    assert quality["scan_rms_mm"] <= 0.5
+    assert all(gate.passed for gate in gates(quality)), quality_text(quality)
+    assert head.about["morphed_from"] == "taro"
+
+
+@needs_ict
+def test_the_pose_of_ict_is_the_same_with_its_landmarks(taro: Head) -> None:
+    scan = read_surface(ICT / "neutral.ply")
+    pairs = read_landmarks(ICT / "landmarks.csv", taro)
+    found = align(taro, scan, pairs)
+    assert found.size == pytest.approx(1.104, abs=0.02)
+    # +x left, +y up, +z forward to +x left, +y back, +z up.
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    assert np.trace(found.pose.rotation @ axes.T) > 1.0 + 2.0 * np.cos(np.radians(8.0))
+
+
+@needs_ict
+@pytest.mark.slow
+def test_morph_to_ict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "ict"
+    scan = str(ICT / "neutral.ply")
+    assert _run(["morph", "taro", "--to", scan, "--out", str(out), "--json", "--quiet"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["quality"]["scan_rms_mm"] <= 0.5
+    assert all(gate["passed"] for gate in record["gates"])
+    assert json.loads((out / "report.json").read_text()) == record
+    assert Head.load(out).name == "ict"
