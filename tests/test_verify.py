@@ -50,7 +50,7 @@ def test_what_is_not_a_number_fails(at_least):
 
 
 def test_unknown_case_is_refused_with_the_nearest_names():
-    with pytest.raises(InputError, match="case 'land-4'.*did you mean .*land-1"):
+    with pytest.raises(InputError, match=r"case 'land-4'.*did you mean .*land-1"):
         choose(["patch", "land-4"])
     assert [case.name for case in choose(["patch", "derivatives"])] == ["derivatives", "patch"]
     assert len(choose([])) == len(CASES)
@@ -77,6 +77,14 @@ def test_command_prints_a_table(capsys):
     code, printed = run(capsys, "plane-strain")
     assert code == 0
     assert "4 checks, 0 failed" in printed.out
+
+
+def test_command_lists_the_cases(capsys):
+    code, printed = run(capsys, "--list")
+    assert code == 0
+    assert [line.split()[0] for line in printed.out.splitlines()] == list(CASES)
+    _, printed = run(capsys, "patch", "--list", "--json")
+    assert [row["case"] for row in json.loads(printed.out)["cases"]] == ["patch"]
 
 
 def fails(fine):

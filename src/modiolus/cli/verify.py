@@ -15,23 +15,27 @@ from modiolus.progress import Progress
 @app.command(epilog="Example: modiolus verify patch land-1")
 def verify(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[CASE]...", help="All of them by default.")
+        list[str] | None, typer.Argument(metavar="[CASE]...", help="All cases by default.")
     ] = None,
     fine: Annotated[
-        bool, typer.Option("--fine", help="Also on finer meshes; this takes half an hour.")
+        bool, typer.Option("--fine", help="Also on finer meshes; this takes some minutes.")
     ] = False,
+    listing: Annotated[bool, typer.Option("--list", help="Say what the cases are.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Check the mechanics against closed forms, published results and itself.
 
     Every case runs through the same code as the face. The exit code is 1 when a check fails.
-    Cases: derivatives, rigid-motion, patch, plane-strain, muscle-work, manufactured, inf-sup,
-    opencmiss-cantilever, opencmiss-extension, febio-mu02, febio-mu03, land-1, land-2, land-3.
     """
     from modiolus.verify import Check, choose
 
     cases = choose(names or [])
+    if listing:
+        about = [{"case": case.name, "says": case.says} for case in cases]
+        text = "\n".join(f"{case.name:22s}{case.says}" for case in cases)
+        show({"cases": about}, text, as_json, quiet)
+        return
     rows: list[tuple[str, Check]] = []
     with Progress("verifying", total=len(cases), quiet=quiet) as progress:
         for done, case in enumerate(cases):

@@ -22,6 +22,7 @@ from ..mechanics import (
     face_points,
 )
 from ..mechanics.laws import Array
+from ..mechanics.problem import trilinear
 from .case import Check
 from .meshes import box, side
 from .patch import COEFFICIENTS
@@ -232,7 +233,7 @@ def stability(mesh: HermiteMesh) -> float:
         block = norm[params[mine]][:, params[mine]].toarray()
         schur += coupling[mine].T @ la.solve(block, coupling[mine], assume_a="pos")
     functions = np.zeros((len(rule.weights), coupling.shape[1]))
-    psi = np.tile(problem._psi, (mesh.n_elements, 1))
+    psi = trilinear(rule.xi)
     columns = problem.assembly.pressure_equations[problem.vertices[rule.elements]] - n
     np.add.at(functions, (np.arange(len(psi))[:, None], columns), psi)
     mass = functions.T @ weights @ functions
