@@ -20,7 +20,7 @@ from modiolus.mechanics import (
     symmetry_plane,
 )
 from modiolus.mechanics.kernels import active_force, fibre, passive, passive_force
-from modiolus.mechanics.laws import MUSCLE, FibreLaw, Guccione, Law, Muscle, Volume
+from modiolus.mechanics.laws import MUSCLE, BlemkerMuscle, FibreLaw, Guccione, Law, Volume
 
 RNG = np.random.default_rng(20)
 
@@ -164,7 +164,7 @@ LAWS = {
     Law.ISOCHORIC: MUSCLE["yeoh-nazari2010"].array(),
     Law.PLAIN: MUSCLE["wu2013"].array(),
     Law.GUCCIONE: Guccione(2.0, 8.0, 2.0, 4.0).array(FIBRE),
-    Law.MUSCLE: Muscle(0.5, 0.7, FibreLaw(), 0.2).array(FIBRE),
+    Law.MUSCLE: BlemkerMuscle(0.5, 0.7, FibreLaw(), 0.2).array(FIBRE),
 }
 
 

@@ -6,12 +6,12 @@ from .continuation import Continuation, Settings, solve
 from .laws import (
     FAT,
     MUSCLE,
+    BlemkerMuscle,
     Coefficients,
     FibreLaw,
     Formulation,
     Guccione,
     Law,
-    Muscle,
     Volume,
     mix,
 )
@@ -30,6 +30,7 @@ from .terms import (
 __all__ = [
     "FAT",
     "MUSCLE",
+    "BlemkerMuscle",
     "Coefficients",
     "Continuation",
     "DeadForces",
@@ -41,7 +42,6 @@ __all__ = [
     "Guccione",
     "Law",
     "Load",
-    "Muscle",
     "PairContact",
     "PointTerm",
     "Problem",

@@ -30,7 +30,7 @@ class Law(IntEnum):
     GUCCIONE
         Heart muscle, `Guccione`.
     MUSCLE
-        Skeletal muscle, matrix and fibres in one, `Muscle`.
+        Skeletal muscle, matrix and fibres in one, `BlemkerMuscle`.
     """
 
     ISOCHORIC = 0
@@ -199,7 +199,7 @@ class Guccione:
 
 
 @dataclass(frozen=True)
-class Muscle:
+class BlemkerMuscle:
     """Skeletal muscle of Blemker et al. (2005): matrix and fibres as one material.
 
     ``W = G1 B1² + G2 B2² + ψ(λ̄)`` with the shears along and across the fibre, and the fibre's

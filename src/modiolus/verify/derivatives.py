@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..hermite import HermiteMesh
 from ..mechanics import (
     MUSCLE,
+    BlemkerMuscle,
     DeadForces,
     FibreLaw,
     FibreQuadrature,
@@ -21,7 +22,6 @@ from ..mechanics import (
     Guccione,
     Law,
     Load,
-    Muscle,
     PairContact,
     PointTerm,
     Problem,
@@ -168,7 +168,7 @@ def finite_differences(fine: bool) -> list[Check]:
         "tissue, muscle without pressure": differences(
             Problem(
                 mesh,
-                Muscle(0.5, 0.7, activation=0.2).array(FIBRE),
+                BlemkerMuscle(0.5, 0.7, activation=0.2).array(FIBRE),
                 kappa=20.0,
                 formulation=Formulation(Law.MUSCLE, Volume.LOGARITHM),
                 fixed=fixed,
@@ -210,7 +210,7 @@ def rigid_motion(fine: bool) -> list[Check]:
         ),
         "muscle": Problem(
             mesh,
-            Muscle(0.5, 0.7, activation=0.2).array(FIBRE),
+            BlemkerMuscle(0.5, 0.7, activation=0.2).array(FIBRE),
             formulation=Formulation(Law.MUSCLE, Volume.LOGARITHM),
         ),
     }

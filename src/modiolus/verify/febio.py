@@ -6,11 +6,11 @@ import numpy as np
 
 from ..hermite import grid_connectivity, linear
 from ..mechanics import (
+    BlemkerMuscle,
     FibreLaw,
     Formulation,
     Law,
     Load,
-    Muscle,
     Problem,
     Settings,
     Volume,
@@ -19,14 +19,14 @@ from ..mechanics import (
 from .case import Check
 
 
-def pulled(counts: int, material: Muscle, shift: float) -> float:
+def pulled(counts: int, material: BlemkerMuscle, shift: float) -> float:
     """Pull a row of unit cubes along its fibres; return the norm of the free displacements.
 
     Parameters
     ----------
     counts : int
         Number of cubes, along x.
-    material : Muscle
+    material : BlemkerMuscle
     shift : float
         Displacement of the end in mm.
     """
@@ -53,11 +53,11 @@ def pulled(counts: int, material: Muscle, shift: float) -> float:
 def mu02(fine: bool) -> list[Check]:
     """Shorten two cubes whose fibres are slack."""
     law = FibreLaw(optimal=1.4, toe=0.0)
-    got = pulled(2, Muscle(0.5, 0.5, law, slack=1.4), -0.01)
+    got = pulled(2, BlemkerMuscle(0.5, 0.5, law, slack=1.4), -0.01)
     return [Check("norm of the free displacements in mm", 0.0132501289648, got, 1e-6, True)]
 
 
 def mu03(fine: bool) -> list[Check]:
     """Stretch a cube along its taut fibres by 1.2."""
-    got = pulled(1, Muscle(0.5, 0.5, FibreLaw(toe=0.0)), 0.2)
+    got = pulled(1, BlemkerMuscle(0.5, 0.5, FibreLaw(toe=0.0)), 0.2)
     return [Check("norm of the free displacements in mm", 0.244325959214, got, 1e-6, True)]
