@@ -53,7 +53,7 @@ _CONDYLE = (8.0, 20.0)
 #: distances to both, and to the still bones below; in between it follows in part.
 _BETWEEN = (0.25, 0.75)
 #: Tissue follows the jaw wholly up to the first distance (mm) and not at all from the second.
-_FADE = (5.0, 50.0)
+_FADE = (5.0, 75.0)
 
 
 @dataclass(frozen=True, eq=False)
