@@ -44,7 +44,7 @@ class FaceSettings:
 
     muscle: str = "wu2013"
     sigma_max: float = 300.0
-    kappa: float = 50.0
+    kappa: float = 80.0
     modiolus: float = 30.0
     contact: float = 250.0
     slide: float = 0.05
