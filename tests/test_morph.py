@@ -1,6 +1,7 @@
 """Morphing a head to the surface of another face."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,14 @@ needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the scans are not besid
 
 @pytest.fixture(scope="module")
 def taro() -> Head:
-    return Head.load("taro")
+    """The head with a part of its muscles and bones: every one takes its seconds."""
+    head = Head.load("taro")
+    muscles = ("zygomaticus_major", "orbicularis_oris_upper", "mentalis")
+    return replace(
+        head,
+        muscles={name: head.muscles[name] for name in muscles},
+        deep={name: head.deep[name] for name in ("mandible", "eyeball")},
+    )
 
 
 def warp(points: np.ndarray, plane: float) -> np.ndarray:
@@ -83,11 +91,11 @@ def test_bones_keep_their_distance(taro: Head, morphed: tuple[Head, dict, np.nda
     face = taro.tissue.face(elements, axis, side)
     local, xi, _ = face.gauss_points(3)
     at = elements[local], np.insert(xi, axis, float(side), axis=1)
-    for name in ("skull", "mandible"):
-        old = taro.deep[name].distance.sample(taro.tissue.evaluate(*at)).distance
-        new = head.deep[name].distance.sample(head.tissue.evaluate(*at)).distance
-        near = np.abs(old) < 2.0
-        assert np.sqrt(np.mean((new - quality["size"] * old)[near] ** 2)) < 0.3
+    old = taro.deep["mandible"].distance.sample(taro.tissue.evaluate(*at)).distance
+    new = head.deep["mandible"].distance.sample(head.tissue.evaluate(*at)).distance
+    near = np.abs(old) < 2.0
+    assert near.sum() > 50
+    assert np.sqrt(np.mean((new - quality["size"] * old)[near] ** 2)) < 0.3
 
 
 def test_the_morphed_head_still_mirrors(taro: Head, morphed: tuple[Head, dict, np.ndarray]) -> None:

@@ -48,6 +48,8 @@ _MARGIN_WEIGHT = 8.0
 _CUT_WEIGHT = 0.3
 #: Farthest match (mm) in the first and in the last step.
 _REACH = (20.0, 3.0)
+#: A vertex of a scan is in a cavity when fewer of its rays than this share escape.
+_ESCAPING = 0.3
 #: The inner surface lies on the eyeball up to this distance (mm).
 _ON_BALL = 1.5
 #: Least cosine between the normals of matched points.
@@ -594,7 +596,8 @@ def morph_quality(
     """Measure a morphed head against the scan and against the head that it was made from."""
     mesh = morphed.tissue
     elements, xi, _ = mesh.gauss_points(4)
-    error, share = scan_error(morphed, aligned.surface)
+    every, outside, share = scan_error(morphed, aligned.surface)
+    error = every[outside]
     seen = _seen(morphed, aligned.surface)
     old, new = (thickness(item) for item in (head, morphed))
     ratio = new / (aligned.size * old)
@@ -604,6 +607,7 @@ def morph_quality(
         "scan_rms_mm": round(float(np.sqrt(np.mean(error**2))), 3),
         "scan_p95_mm": round(float(np.percentile(error, 95)), 3),
         "scan_max_mm": round(float(error.max()), 3),
+        "scan_rms_with_nostrils_mm": round(float(np.sqrt(np.mean(every**2))), 3),
         "scan_covered": round(share, 3),
         "skin_seen": round(seen, 3),
         "min_jacobian": round(float(np.linalg.det(mesh.jacobian(elements, xi)).min()), 3),
@@ -714,18 +718,43 @@ def thickness(head: Head) -> Array:
     return np.asarray(np.linalg.norm(ends[0] - ends[1], axis=1))
 
 
-def scan_error(head: Head, surface: Surface) -> tuple[Array, float]:
-    """Return the distance (n,) of a scan's vertices to the skin of a head, and their share.
+def scan_error(head: Head, surface: Surface) -> tuple[Array, NDArray[np.bool_], float]:
+    """Return the distance (n,) of a scan's vertices to the skin of a head.
 
     Left out is what the template does not have: vertices whose closest point is on a free edge
-    of the skin (ears, scalp, neck, inside of mouth and eyes) or faces another way (nostrils).
+    of the skin (ears, scalp, neck, inside of mouth and eyes) or faces another way.
+
+    Returns
+    -------
+    distance : (n,) array
+        In mm.
+    open : (n,) bool array
+        Which of these vertices are on the outside; the others are in a cavity (nostrils).
+    share : float
+        Share of the scan's vertices that `open` has.
     """
     skin = Matcher(skin_surface(head), 4000)
-    points = surface.vertices
     normals = vertex_normals(surface)
-    near, facing, good = skin.matches(points, 10.0)
+    near, facing, good = skin.matches(surface.vertices, 10.0)
     good &= np.einsum("ni,ni->n", facing, normals) > 0.3
-    return np.linalg.norm(near - points, axis=1)[good], float(good.mean())
+    points = surface.vertices[good]
+    seen = escaping(surface, points, normals[good]) > _ESCAPING
+    return np.linalg.norm(near[good] - points, axis=1), seen, float(seen.sum() / len(good))
+
+
+def escaping(surface: Surface, points: Array, normals: Array, directions: int = 64) -> Array:
+    """Return which share of the rays from points of a surface into the open escapes it, (n,)."""
+    height = 1.0 - (2.0 * np.arange(directions) + 1.0) / directions
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(directions)
+    radius = np.sqrt(1.0 - height**2)
+    rays = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    starts = points + 0.05 * normals
+    escaped, tried = np.zeros(len(points)), np.zeros(len(points))
+    for ray in rays:
+        before = normals @ ray > 0.1
+        tried += before
+        escaped[before] += np.isnan(surface.first_hits(starts[before], ray)[:, 0])
+    return np.asarray(escaped / np.maximum(tried, 1.0))
 
 
 def _seen(head: Head, surface: Surface) -> float:
