@@ -194,8 +194,8 @@ class Surface:
         ----------
         origins : (n, 3) array
             Starts of the rays (mm).
-        direction : (3,) array
-            Their common direction.
+        direction : (3,) or (n, 3) array
+            Their common direction, or that of each.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class Surface:
             The hits; NaN where a ray misses.
         """
         starts = _queries(origins)
-        directions = np.tile(np.asarray(direction, dtype=np.float64), (len(starts), 1))
+        directions = np.array(np.broadcast_to(np.asarray(direction, dtype=float), starts.shape))
         faces, lengths, _ = self._tree.intersect_ray_first(
             self.vertices, self.faces, starts, directions
         )

@@ -80,7 +80,7 @@ class Measure:
     error, still : (n,) arrays
         With the model in its state, and at rest (mm).
     covered, moved : (n,) bool arrays
-        Points that have a counterpart, and those where the scan has moved.
+        Points that are visible and have a counterpart, and those where the scan has moved.
     region : (n,) int array
         Index into `REGIONS`.
     weight : (n,) array
@@ -200,13 +200,14 @@ def compare(skin: Skin, parameters: Array, scan: Scan, neutral: Scan | None = No
             near = neutral.nearest(scan.points)[0]
             moved = np.linalg.norm(scan.points - near, axis=1) > MOVED
         own = still.feet(neutral.points, neutral.normals)
-        shape = figures(own.distance[own.covered], neutral.weights[own.covered])
+        seen = own.covered & neutral.visible
+        shape = figures(own.distance[seen], neutral.weights[seen])
         if scan.same_order(neutral):
             shift = skin.places(own, parameters) - skin.places(own, rest)
             matched = Measure(
                 np.linalg.norm(shift - motion, axis=1),
                 np.linalg.norm(motion, axis=1),
-                own.covered,
+                seen,
                 moved,
                 skin.region[own.elements],
                 neutral.weights,
@@ -214,7 +215,7 @@ def compare(skin: Skin, parameters: Array, scan: Scan, neutral: Scan | None = No
     distances = Measure(
         feet.distance,
         unmoved.distance,
-        feet.covered & unmoved.covered,
+        feet.covered & unmoved.covered & scan.visible,
         moved,
         skin.region[feet.elements],
         scan.weights,

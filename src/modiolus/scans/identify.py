@@ -153,7 +153,9 @@ class _Target:
         self.skin = skin
         rest = skin.head.tissue.parameters
         count = min(_POINTS, len(scan.points))
-        chance = scan.weights / scan.weights.sum()
+        chance = scan.weights * scan.visible
+        count = min(count, int((chance > 0.0).sum()))
+        chance = chance / chance.sum()
         picked = np.random.default_rng(0).choice(len(scan.points), count, replace=False, p=chance)
         self.scan = scan
         self.points, self.normals = scan.points[picked], scan.normals[picked]

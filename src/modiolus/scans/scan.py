@@ -32,6 +32,8 @@ _MESHES = (".ply", ".obj", ".stl", ".vtp")
 _CLOUDS = (".xyz", ".txt", ".csv", ".asc", ".pts")
 #: Points that make the normal of a cloud.
 _NEIGHBOURS = 18
+#: Directions (azimuth, elevation in degrees) from which a face is looked at.
+_CAMERAS = [(a, e) for a in (0.0, 45.0, -45.0, 80.0, -80.0) for e in (0.0, 30.0)]
 #: Edges longer than this many times the spacing of the points bridge a gap.
 _BRIDGE = 4.0
 
@@ -114,6 +116,24 @@ class Scan:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         rim = (shares * self._rim[corners]).sum(axis=1) > 1.0 - 1e-6
         return found.points, normals, rim
+
+    @cached_property
+    def visible(self) -> NDArray[np.bool_]:
+        """Whether a camera in front of the face would see a point, (n,).
+
+        For a scan in the head's frame. The inside of nostrils and what lies behind the lips is
+        not visible: models have no such parts, and scanners guess them.
+        """
+        out = np.zeros(len(self.points), dtype=bool)
+        size = float(np.ptp(self.points, axis=0).max())
+        starts = self.points + 1e-3 * size * self.normals
+        for azimuth, elevation in _CAMERAS:
+            a, e = np.radians([azimuth, elevation])
+            towards = np.array([np.sin(a) * np.cos(e), -np.cos(a) * np.cos(e), np.sin(e)])
+            rows = np.flatnonzero(~out & (self.normals @ towards > 0.1))
+            if len(rows):
+                out[rows] = np.isnan(self.surface.first_hits(starts[rows], towards)[:, 0])
+        return out
 
     def same_order(self, other: Scan) -> bool:
         """Tell whether two scans are one mesh in two states, vertex by vertex."""

@@ -1,0 +1,499 @@
+"""Scans: what is read and refused, alignment, distances, and activations found from them."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from modiolus import hermite
+from modiolus.anatomy.surface import Surface
+from modiolus.cli import main
+from modiolus.errors import InputError
+from modiolus.face.head import Head
+from modiolus.mechanics import (
+    Continuation,
+    FibreQuadrature,
+    Fibres,
+    Problem,
+    Settings,
+    clamp,
+)
+from modiolus.scans import read_scan
+from modiolus.scans.align import place, read_landmarks, register_scan
+from modiolus.scans.compare import compare, figures
+from modiolus.scans.identify import _certainty, _Matches, _Point, muscle_set
+from modiolus.scans.result import STATE_FILE, load_result, save_state
+from modiolus.scans.scan import Scan
+from modiolus.scans.skin import REGIONS, Skin
+
+
+@pytest.fixture(scope="module")
+def head():
+    return Head.load("taro")
+
+
+@pytest.fixture(scope="module")
+def skin(head):
+    return Skin(head)
+
+
+def scan_of(surface, name="scan"):
+    return Scan(name, surface.vertices, surface.vertex_normals, surface)
+
+
+def write_ply(path, surface):
+    rows = [" ".join(f"{x:.6f}" for x in point) for point in surface.vertices]
+    rows += [f"3 {a} {b} {c}" for a, b, c in surface.faces]
+    path.write_text(
+        f"ply\nformat ascii 1.0\nelement vertex {len(surface.vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(surface.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        + "\n".join(rows)
+        + "\n"
+    )
+
+
+def assert_one_line(error, *words):
+    text = str(error.value)
+    assert "\n" not in text and ";" in text
+    for word in words:
+        assert word in text
+
+
+# --- reading
+
+
+@pytest.mark.parametrize("kind", [".ply", ".obj", ".stl", ".vtp"])
+def test_surfaces_are_read_alike(kind, skin, head, tmp_path):
+    import pyvista as pv
+
+    surface = skin.surface(head.tissue.parameters)
+    path = tmp_path / f"face{kind}"
+    pv.PolyData.from_regular_faces(surface.vertices, surface.faces).save(path)
+    scan = read_scan(path)
+    assert scan.surface.area == pytest.approx(surface.area, rel=1e-4)
+    assert scan.weights.sum() == pytest.approx(surface.area, rel=1e-4)
+    near = skin.state(head.tissue.parameters).feet(scan.points, scan.normals)
+    assert near.distance.max() < 0.01
+
+
+def test_a_cloud_gets_outward_normals_and_a_surface(skin, head, tmp_path):
+    surface = skin.surface(head.tissue.parameters)
+    points = surface.samples(2.0)
+    turned = points @ Rotation.from_euler("xyz", [0.3, 2.0, -1.0]).as_matrix().T + 500.0
+    heading = "# made by a scanner\n"
+    rows = "\n".join(f"{x:.4f}, {y:.4f}, {z:.4f}" for x, y, z in turned)
+    (tmp_path / "face.xyz").write_text(heading + rows + "\n")
+    scan = read_scan(tmp_path / "face.xyz")
+    assert scan.cloud and len(scan.points) == len(np.unique(np.round(turned, 4), axis=0))
+    own = surface.closest(points)
+    order = np.lexsort(np.round(turned, 4).T[::-1])
+    facing = surface.normals[own.faces][order]
+    back = scan.normals @ Rotation.from_euler("xyz", [0.3, 2.0, -1.0]).as_matrix()
+    assert np.mean((facing * back).sum(axis=1) > 0.7) > 0.93
+    assert scan.surface.area == pytest.approx(surface.area, rel=0.15)
+
+
+def test_bad_scans_are_refused_in_one_line(skin, head, tmp_path):
+    surface = skin.surface(head.tissue.parameters)
+    whole = tmp_path / "whole.ply"
+    write_ply(whole, surface)
+
+    missing = tmp_path / "missing.ply"
+    with pytest.raises(InputError) as error:
+        read_scan(missing)
+    assert_one_line(error, "no such file")
+
+    picture = tmp_path / "face.png"
+    picture.write_bytes(b"x")
+    with pytest.raises(InputError) as error:
+        read_scan(picture)
+    assert_one_line(error, ".ply")
+
+    cut = tmp_path / "cut.ply"
+    cut.write_bytes(whole.read_bytes()[: len(whole.read_bytes()) // 2])
+    with pytest.raises(InputError) as error:
+        read_scan(cut)
+    assert_one_line(error, "cut.ply")
+
+    single = tmp_path / "single.xyz"
+    single.write_text("1 2 3\n")
+    with pytest.raises(InputError) as error:
+        read_scan(single)
+    assert_one_line(error, "1 points", "too few")
+
+    one_vertex = tmp_path / "one.ply"
+    one_vertex.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n0 0 0\n"
+    )
+    with pytest.raises(InputError) as error:
+        read_scan(one_vertex)
+    assert_one_line(error, "too few")
+
+    nan = tmp_path / "nan.xyz"
+    rows = surface.vertices[:2000].astype(str)
+    rows[7, 1] = "nan"
+    nan.write_text("\n".join(" ".join(row) for row in rows))
+    with pytest.raises(InputError) as error:
+        read_scan(nan)
+    assert_one_line(error, "1 points are not finite")
+
+    words = tmp_path / "words.xyz"
+    words.write_text("1 2 3\n4 5 6\n7 8\n" * 400)
+    with pytest.raises(InputError) as error:
+        read_scan(words)
+    assert_one_line(error, "line 3")
+
+    flat = tmp_path / "flat.xyz"
+    rng = np.random.default_rng(0)
+    np.savetxt(flat, np.column_stack([rng.random((2000, 2)), np.zeros(2000)]))
+    with pytest.raises(InputError) as error:
+        read_scan(flat)
+    assert_one_line(error, "plane")
+
+    lying = tmp_path / "lying.ply"
+    lying.write_bytes(
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
+        b"property float y\nproperty float z\nend_header\n" + struct.pack("<3f", 0, 0, 0)
+    )
+    with pytest.raises(InputError) as error:
+        read_scan(lying)
+    assert_one_line(error, "lying.ply")
+
+
+# --- projection
+
+
+def test_projection_is_exact_on_the_hermite_surface(skin, head):
+    rng = np.random.default_rng(1)
+    elements, xi = rng.integers(0, 252, 400), rng.uniform(0.05, 0.95, (400, 2))
+    points = skin.mesh.evaluate(elements, xi)
+    normals = skin.outward_normals(skin.mesh, elements, xi)
+    feet = skin.state(head.tissue.parameters).feet(points + 0.4 * normals, normals)
+    # At sharp concave places another point of the skin is nearer.
+    assert (np.abs(feet.distance - 0.4) < 1e-9).mean() > 0.99
+    assert feet.covered.mean() > 0.99
+    mirrored = skin.state(head.tissue.parameters).feet(head.mirror(points + 0.4 * normals))
+    assert mirrored.mirrored[points[:, 0] > head.midplane + 1.0].all()
+    np.testing.assert_allclose(mirrored.distance, feet.distance, atol=1e-6)
+
+
+def test_an_upper_lip_never_projects_to_the_lower_one(skin, head):
+    margin = np.flatnonzero(skin.side == 1)
+    rng = np.random.default_rng(2)
+    elements = rng.choice(margin[margin >= 252], 200)
+    xi = rng.uniform(0.1, 0.9, (200, 2))
+    points = skin.mesh.evaluate(elements, xi)
+    normals = skin.outward_normals(skin.mesh, elements, xi)
+    # An upper lip that a scan has 1.5 mm lower: the lower lip of the head is nearer by far.
+    low = points - [0.0, 0.0, 1.5]
+    state = skin.state(head.tissue.parameters)
+    feet = state.feet(low, normals)
+    assert np.isin(skin.side[feet.elements], [1, 0]).all()
+    blind = state.feet(low)
+    assert (skin.side[blind.elements] == 2).mean() > 0.5
+
+
+def test_regions_cover_the_face_and_lie_where_they_should(skin, head):
+    centre = skin.mesh.evaluate(
+        np.arange(skin.mesh.n_elements), np.full((skin.mesh.n_elements, 2), 0.5)
+    )
+    heights = {name: centre[skin.region == number, 2].mean() for number, name in enumerate(REGIONS)}
+    order = ["neck", "chin", "lower_lip", "upper_lip", "nose", "lids", "brow", "forehead"]
+    assert sorted(order, key=heights.get) == order
+    corner = head.landmark_points()["mouth_corner_left"]
+    feet = skin.state(head.tissue.parameters).feet(corner[None])
+    assert REGIONS[skin.region[feet.elements[0]]] == "corners"
+
+
+# --- alignment
+
+
+def test_unknown_pose_and_unit_are_recovered(skin, head):
+    rng = np.random.default_rng(3)
+    surface = skin.surface(head.tissue.parameters)
+    noisy = surface.vertices + 0.3 * rng.standard_normal((len(surface.vertices), 3))
+    turn = Rotation.random(rng=rng).as_matrix()
+    moved = (noisy @ turn.T + [300.0, -80.0, 1000.0]) / 1000.0
+    scan = scan_of(Surface(moved, surface.faces, "metres"))
+    placed, _, alignment = place(scan, skin)
+    error = np.linalg.norm(placed.points - noisy, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.25
+    assert alignment.pose.scale == pytest.approx(1000.0, rel=2e-3)
+    assert alignment.scatter_mm < 1.0
+
+
+def test_landmarks_align_too_and_are_checked(skin, head, tmp_path):
+    surface = skin.surface(head.tissue.parameters)
+    turn = Rotation.from_euler("xyz", [170.0, 20.0, 130.0], degrees=True).as_matrix()
+    scan = scan_of(Surface(surface.vertices @ turn.T, surface.faces, "turned"))
+    path = tmp_path / "landmarks.csv"
+    names = ["mouth_corner_left", "mouth_corner_right", "chin", "inner_brow_left", "ala_left"]
+    rows = ["name, x, y, z, by"]
+    for name in names:
+        point = turn @ head.landmark_points()[name]
+        rows.append(f"{name}, {point[0]}, {point[1]}, {point[2]}, hand")
+    path.write_text("\n".join(rows) + "\n")
+    placed, _, _ = place(scan, skin, landmarks=read_landmarks(path, head))
+    assert np.linalg.norm(placed.points - surface.vertices, axis=1).max() < 0.2
+    path.write_text("\n".join(rows[:3]) + "\n")
+    with pytest.raises(InputError) as error:
+        read_landmarks(path, head)
+    assert_one_line(error, "at least three")
+    path.write_text(rows[0] + "\nchin, 1, two, 3, hand\n")
+    with pytest.raises(InputError) as error:
+        read_landmarks(path, head)
+    assert_one_line(error, "line 2")
+
+
+def test_what_is_no_face_is_refused(skin, head):
+    surface = skin.surface(head.tissue.parameters)
+    mirrored = Surface(surface.vertices * [-1.0, 1.0, 1.0], surface.faces, "mirrored.ply")
+    with pytest.raises(InputError) as error:
+        register_scan(scan_of(mirrored, "mirrored.ply"), skin)
+    assert_one_line(error, "mirror")
+
+    large = Surface(surface.vertices * 3.5, surface.faces, "large.ply")
+    with pytest.raises(InputError) as error:
+        register_scan(scan_of(large, "large.ply"), skin)
+    assert_one_line(error, "large.ply")
+
+    # A rough sheet of paper.
+    ticks = np.linspace(0.0, 200.0, 60)
+    x, y = (grid.ravel() for grid in np.meshgrid(ticks, ticks))
+    z = 15.0 * np.sin(x / 9.0) * np.cos(y / 7.0)
+    corner = (np.arange(59)[:, None] * 60 + np.arange(59)).ravel()
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + 61], axis=1),
+            np.stack([corner, corner + 61, corner + 60], axis=1),
+        ]
+    )
+    sheet = Surface(np.column_stack([x, y, z]), faces, "sheet.ply")
+    with pytest.raises(InputError) as error:
+        register_scan(scan_of(sheet, "sheet.ply"), skin)
+    assert_one_line(error, "sheet.ply", "no face")
+
+
+# --- comparison
+
+
+def test_figures_weigh_by_area():
+    found = figures(np.array([1.0, 3.0]), np.array([3.0, 1.0]))
+    assert found.mean == pytest.approx(1.5)
+    assert found.rms == pytest.approx(np.sqrt(3.0))
+    assert found.max == 3.0
+    assert figures(np.zeros(0), np.zeros(0)).as_dict()["rms_mm"] is None
+
+
+def test_a_known_displacement_gives_its_own_figures(skin, head):
+    rest = head.tissue.parameters
+    moved = rest.copy()
+    # Two millimetres forward everywhere.
+    moved[:, 1] -= 2.0 * head.both.ones
+    neutral = scan_of(skin.surface(rest))
+    scan = scan_of(skin.surface(moved))
+    right = compare(skin, moved, scan, neutral)
+    assert right.distances.error[right.distances.covered].max() < 1e-6
+    assert right.matched.explained == pytest.approx(1.0, abs=1e-6)
+    assert right.distances.explained > 0.999
+    wrong = compare(skin, rest, scan, neutral)
+    everywhere = np.ones(len(scan.points), dtype=bool)
+    assert wrong.matched.of(wrong.matched.error, everywhere).rms == pytest.approx(2.0)
+    assert wrong.matched.explained == pytest.approx(0.0)
+    assert wrong.distances.explained == pytest.approx(0.0)
+    # Along the normal, two millimetres forward are less wherever the face turns away.
+    assert 1.0 < wrong.distances.of(wrong.distances.error, everywhere).rms < 2.0
+    half = rest.copy()
+    half[:, 1] -= head.both.ones
+    assert compare(skin, half, scan, neutral).matched.explained == pytest.approx(0.5)
+    report = json.loads(json.dumps(right.as_dict(), allow_nan=False))
+    assert {"nose", "chin", "cheek", "corners"} <= set(report["regions"])
+    assert 0.8 < report["coverage"] <= 1.0
+
+
+def test_without_a_common_order_distances_still_tell(skin, head):
+    rest = head.tissue.parameters
+    moved = rest.copy()
+    moved[:, 1] -= 2.0 * head.both.ones
+    scan = scan_of(skin.surface(moved))
+    coarse = Surface(skin.surface(rest).vertices, skin.surface(rest).faces[::-1], "other")
+    found = compare(skin, moved, scan, scan_of(coarse))
+    assert found.matched is None
+    assert found.distances.explained > 0.99
+
+
+# --- states
+
+
+def test_a_state_is_kept_exactly_and_knows_its_head(head, tmp_path):
+    moved = head.tissue.parameters + 0.125
+    save_state(
+        tmp_path / STATE_FILE, "x", head, "taro", moved, np.zeros(8), {"mentalis": 0.25}, 0.1
+    )
+    found = load_result(tmp_path)
+    assert np.array_equal(found.parameters, moved)
+    assert (found.expression, found.activations, found.jaw) == ("x", {"mentalis": 0.25}, 0.1)
+
+    whole = head.both.whole(moved)
+    save_state(tmp_path / STATE_FILE, "x", head, "taro", whole, np.zeros(8), {}, 0.0)
+    assert np.array_equal(load_result(tmp_path).parameters, whole)
+
+    save_state(tmp_path / STATE_FILE, "x", head, "taro", moved[:-1], np.zeros(8), {}, 0.0)
+    with pytest.raises(InputError) as error:
+        load_result(tmp_path)
+    assert_one_line(error, "changed")
+    (tmp_path / STATE_FILE).write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(InputError) as error:
+        load_result(tmp_path)
+    assert_one_line(error, STATE_FILE)
+    (tmp_path / STATE_FILE).unlink()
+    with pytest.raises(InputError) as error:
+        load_result(tmp_path)
+    assert_one_line(error, "simulate")
+
+
+# --- identification
+
+
+def two_muscles():
+    """A block held at one end, with a muscle along each of two diagonals."""
+    ticks = [np.linspace(0.0, s, n + 1) for n, s in zip((3, 1, 1), (30.0, 10.0, 10.0), strict=True)]
+    mesh = hermite.grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+    elements, xi, weights = mesh.gauss_points(4)
+    directions = np.where((xi[:, 2] > 0.5)[:, None], [0.8, 0.6, 0.0], [0.8, -0.6, 0.0])
+    rule = FibreQuadrature(elements, xi, weights, directions, (xi[:, 2] > 0.5).astype(np.int64))
+    return Problem(
+        mesh,
+        [2.0, 0.5, 0.0],
+        kappa=50.0,
+        terms=[Fibres(mesh, rule, ["low", "high"])],
+        fixed=clamp(mesh, [0], 0, 0, slope=True),
+    )
+
+
+def test_sensitivities_agree_with_finite_differences():
+    problem = two_muscles()
+    fine = Settings(tolerance=1e-12, passing=1e-6)
+    continuation = Continuation(problem, settings=fine)
+    base = {"low": 0.03, "high": 0.05}
+    continuation.run(problem.load(base))
+    found = continuation.sensitivities(["low", "high"])
+    size = np.abs(found).max()
+    for k, name in enumerate(("low", "high")):
+        ends = []
+        for step in (1e-5, -1e-5):
+            trial = Continuation(problem, continuation.state, settings=fine)
+            ends.append(trial.run(problem.load({**base, name: base[name] + step})).parameters)
+        slope = (ends[0] - ends[1]) / 2e-5
+        assert np.abs(slope - found[:, :, k]).max() < 1e-6 * size
+
+
+def test_certainty_names_muscles_that_do_the_same():
+    rng = np.random.default_rng(5)
+    n = 400
+    slopes = rng.standard_normal((n, 2))
+    matrix = np.hstack([slopes, slopes[:, :1] + 1e-2 * rng.standard_normal((n, 1))])
+    matrix = np.hstack([matrix, rng.standard_normal((n, 6))])
+    feet = type("Feet", (), {"points": 200.0 * rng.random((n, 3))})()
+    matches = _Matches(
+        feet, np.zeros((n, 3)), 0.3 * np.ones(n), 50.0 * rng.random((n, 3)), np.full(n, 1.0 / n)
+    )
+    point = _Point.__new__(_Point)
+    point.matches, point.rms = matches, 0.3
+    deviations, pairs = _certainty(matrix, point, ["a", "b", "c"])
+    assert [set(pair[:2]) for pair in pairs] == [{"a", "c"}] and pairs[0][2] < -0.99
+    assert deviations["a"] > 10.0 * deviations["b"]
+
+
+def test_names_of_muscles_and_of_table_2(head):
+    assert muscle_set(["frontalis", "mentalis"], head) == [
+        *("mentalis", "frontalis_medial", "frontalis_lateral"),
+    ]
+    assert len(muscle_set(["smile-closed"], head)) == 6
+    with pytest.raises(InputError) as error:
+        muscle_set(["zygomaticus"], head)
+    assert "zygomaticus_major" in str(error.value)
+
+
+# --- the command line
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as left:
+        main([str(argument) for argument in arguments])
+    printed = capsys.readouterr()
+    return left.value.code, printed.out, printed.err
+
+
+def test_compare_writes_page_picture_and_report(capsys, head, skin, tmp_path):
+    rest = head.tissue.parameters
+    moved = rest.copy()
+    moved[:, 1] -= 2.0 * head.both.ones
+    (tmp_path / "result").mkdir()
+    save_state(tmp_path / "result" / STATE_FILE, "x", head, "taro", moved, np.zeros(8), {}, 0.0)
+    write_ply(tmp_path / "scan.ply", skin.surface(moved))
+    write_ply(tmp_path / "neutral.ply", skin.surface(rest))
+    code, out, error = run(
+        capsys,
+        *("compare", tmp_path / "result", "--scan", tmp_path / "scan.ply"),
+        *("--neutral", tmp_path / "neutral.ply", "--json"),
+    )
+    assert code == 0, error
+    record = json.loads(out)
+    # Moved as a whole, the scan is aligned back on its still parts: the model is what is off.
+    assert record["still"]["rms_mm"] < 0.05
+    assert record["error"]["rms_mm"] > 1.0
+    page = (tmp_path / "result" / "compare-scan" / "compare.html").read_text()
+    assert page.count("data:image/png;base64,") == 1
+
+
+def test_commands_refuse_in_one_line(capsys, tmp_path, head):
+    save_state(
+        tmp_path / STATE_FILE, "x", head, "taro", head.tissue.parameters, np.zeros(8), {}, 0.0
+    )
+    (tmp_path / "single.xyz").write_text("0 0 0\n")
+    for arguments, word in [
+        (("compare", tmp_path, "--scan", tmp_path / "single.xyz"), "too few"),
+        (("compare", tmp_path, "--scan", "none.ply"), "none.ply"),
+        (("compare", tmp_path / "none", "--scan", "none.ply"), "simulate"),
+        (("compare", tmp_path, "--scan", "none.ply", "--unit", "km"), "unit"),
+        (("identify", "--scan", "none.ply", "--muscles", "biceps"), "biceps"),
+        (("identify", "--scan", "none.ply"), "none.ply"),
+        (("validate", tmp_path / "none"), "none"),
+        (("validate", tmp_path, "--activations", "foot"), "foot"),
+        (("validate", tmp_path), "neutral"),
+    ]:
+        code, out, error = run(capsys, *arguments)
+        assert (code, out, error.count("\n")) == (2, "", 1), error
+        assert word in error
+
+
+@pytest.mark.slow
+def test_activations_come_back_from_a_noisy_scan_in_any_pose(head, skin):
+    from modiolus.mechanics.face import face_problem
+    from modiolus.scans.identify import identify
+
+    rng = np.random.default_rng(0)
+    true = {
+        "zygomaticus_major": 0.64,
+        "zygomaticus_minor": 0.27,
+        "levator_anguli_oris": 0.01,
+        "depressor_anguli_oris": 0.0,
+        "depressor_labii_inferioris": 0.16,
+        "mentalis": 0.18,
+    }
+    problem = face_problem(head)
+    state = Continuation(problem).run(problem.load(true))
+    surface = skin.surface(state.parameters)
+    noise = 0.3 * rng.standard_normal((len(surface.vertices), 1)) * surface.vertex_normals
+    turn = Rotation.random(rng=rng).as_matrix()
+    moved = Surface((surface.vertices + noise) @ turn.T + 100.0, surface.faces, "smile")
+    placed, _, _ = place(scan_of(moved), skin)
+    found = identify(problem, head, placed, skin=skin, muscles=list(true))
+    for name, value in true.items():
+        assert abs(found.activations[name] - value) < 0.03 or name in found.unsure
+    assert found.history[-1] < 0.35 < found.history[0]
