@@ -132,10 +132,15 @@ def test_the_whole_head_names_its_sides(block_head):
     assert_allclose(block_head.mirror(left.insertion()), right.insertion(), atol=1e-9)
 
 
-def test_half_and_whole_agree_when_the_sides_do(block_head, block_states):
-    jaw = np.radians(2.0)
+@pytest.mark.parametrize("degrees", [0.0, 2.0])
+def test_half_and_whole_agree_when_the_sides_do(block_head, block_states, degrees):
+    jaw = np.radians(degrees)
     half = block_states(block_head, {"strap": 0.4}, jaw)
     whole = block_states(block_head.whole, {"strap_left": 0.4, "strap_right": 0.4}, jaw)
+    problem = face_problem(block_head)
+    energies = problem.evaluate(half.parameters, half.pressure, half.load).energies
+    if not jaw:
+        assert energies["contact of the lips"] > 0.0
     evaluate = material(block_head)
     assert np.abs(evaluate @ half.displacement).max() > 0.5
     for side in block_head.halves(whole.parameters):
