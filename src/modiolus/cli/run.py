@@ -107,7 +107,9 @@ class Runner:
             {
                 there.name: {name: there.vertices}
                 for here, there in zip(still, shapes, strict=True)
-                if not np.array_equal(here.vertices, there.vertices)
+                # Of the deep structures only those that have moved need a target.
+                if here.name in ("skin", "lining")
+                or not np.array_equal(here.vertices, there.vertices)
             },
             str(self.head.about.get("attribution", "")),
         )
