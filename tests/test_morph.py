@@ -67,7 +67,6 @@ def test_a_known_warp_is_recovered(morphed: tuple[Head, dict, np.ndarray]) -> No
     head, quality, there = morphed
     assert quality["scan_rms_mm"] < 0.25
     assert quality["scan_covered"] > 0.9
-    assert quality["lip_margins_rms_mm"] < 0.5
     assert all(gate.passed for gate in gates(quality)), quality_text(quality)
     # The size was measured in the pose that the morph chose.
     assert np.ptp(skin_surface(head).vertices, axis=0) == pytest.approx(
