@@ -11,7 +11,6 @@ from modiolus.mechanics import (
     FibreQuadrature,
     Fibres,
     Load,
-    PairContact,
     Problem,
     RigidContact,
     Springs,
@@ -62,15 +61,10 @@ def scattered(mesh, n=40, muscles=2, seed=4):
 
 MESH = distorted()
 LOAD = Load({"first": 0.7, "second": 0.2})
-# The faces y = 8 and y = 0, which are 8 mm apart.
-FACING = face_points(MESH, [2, 3], 1, 0, 3)
 
 
 def terms(mesh=MESH):
     rng = np.random.default_rng(5)
-    far = (np.array([0, 1]).repeat(9), FACING[1] * [1.0, 0.0, 1.0])
-    pairs = PairContact(mesh, FACING[:2], far, 1, FACING[2])
-    pairs.least += 7.5  # as if only 0.5 mm lay between the faces
     inner = face_points(mesh, np.arange(mesh.n_elements), 2, 0, 3)
     return {
         "tissue": None,
@@ -83,7 +77,6 @@ def terms(mesh=MESH):
         "contact": RigidContact(
             mesh, Sphere((10, 8, -30), 30.3), *inner, slide=np.full(len(inner[0]), 0.2)
         ),
-        "pair contact": pairs,
     }
 
 
@@ -106,13 +99,13 @@ def somewhere(problem, amount=0.4, seed=6):
     rng = np.random.default_rng(seed)
     rest = problem.rest()
     moved = rng.uniform(-amount, amount, rest.parameters.shape)
-    # Squeezed in direction 1, so that the facing surfaces overlap.
+    # Squeezed in direction 1.
     moved[:, 1] -= 0.25 * rest.parameters[:, 1]
     moved[problem.fixed] = 0.0
     return rest.parameters + moved, rng.uniform(-3.0, 3.0, rest.pressure.shape)
 
 
-NAMES = ["tissue", "fibres", "springs", "contact", "pair contact", "all"]
+NAMES = ["tissue", "fibres", "springs", "contact", "all"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -277,7 +270,7 @@ def test_at_rest_nothing_pushes():
     # The second muscle's passive fibres are taut at rest here, and nothing else acts.
     energies = passive_only.energies
     assert {k: v for k, v in energies.items() if k != "fibres"} == pytest.approx(
-        {"tissue": 0.0, "springs": 0.0, "contact": 0.0, "pair contact": 0.0}, abs=1e-10
+        {"tissue": 0.0, "springs": 0.0, "contact": 0.0}, abs=1e-10
     )
     assert p.penetration(rest.parameters) < 1e-12
 
@@ -315,7 +308,7 @@ def test_contact_measures_gap_and_penetration():
     sunk = mesh.parameters.copy()
     sunk[::8, 2] -= 0.5
     vectors = contact.functions @ sunk
-    assert contact.penetration(vectors) == pytest.approx(0.2, abs=1e-4)
+    assert contact.penetration(sunk) == pytest.approx(0.2, abs=1e-4)
     answer = contact.respond(vectors, Load())
     # Integrals of a stiffness that grows to 50 kPa/mm over the first 0.1 mm, over 100 mm².
     assert answer.forces.sum(axis=0) == pytest.approx([0, 0, -50 * 0.15 * 100], rel=1e-3, abs=0.1)
@@ -330,31 +323,6 @@ def test_contact_measures_gap_and_penetration():
     assert held.respond(lifted, Load()).energies.sum() == pytest.approx(
         0.5 * 5.0 * 0.5**2 * 100, rel=1e-3
     )
-
-
-def test_pair_contact_measures_overlap_and_turns_with_the_surfaces():
-    ticks = [np.array([0.0, 10.0]), np.array([0.0, 10.0, 20.0]), np.array([0.0, 10.0])]
-    whole = hermite.grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
-    corners = np.arange(8)
-    nodal = whole.parameters.reshape(-1, 8, 3)
-    links = hermite.grid_connectivity((1, 2, 1), (False,) * 3)
-    split = hermite.assemble(
-        np.stack([corners, corners + 8]), np.concatenate([nodal[links[0]], nodal[links[1]]])
-    )
-    upper = face_points(split, [1], 1, 0, 3)
-    lower = (np.zeros(9, dtype=int), upper[1] * [1, 0, 1] + [0, 1, 0])
-    contact = PairContact(split, upper[:2], lower, 1, upper[2], stiffness=20.0, onset=0.0)
-    assert np.allclose(contact.normals, [0, 1, 0])
-    moved = split.parameters.copy()
-    moved[64::8, 1] -= 0.4
-    assert contact.penetration(contact.functions @ moved) == pytest.approx(0.4)
-    answer = contact.respond(contact.functions @ moved, Load())
-    assert answer.energies.sum() == pytest.approx(0.5 * 20 * 0.4**2 * 100)
-    moved[64::8, 1] += 0.8
-    assert contact.respond(contact.functions @ moved, Load()).energies.sum() == 0.0
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    contact.update(split.parameters @ turn.T)
-    assert np.allclose(contact.normals, [-1, 0, 0])
 
 
 def test_mirror_condition_keeps_the_mirrored_field_smooth():

@@ -1,7 +1,7 @@
 """Muscle-driven equilibrium of a soft tissue: laws, contact, assembly and continuation."""
 
 from .constraints import clamp, symmetry_plane
-from .contact import PairContact, RigidContact, SignedDistance, face_points
+from .contact import RigidContact, SignedDistance, SurfaceContact, face_points
 from .continuation import Continuation, Settings, solve
 from .laws import (
     FAT,
@@ -42,7 +42,6 @@ __all__ = [
     "Guccione",
     "Law",
     "Load",
-    "PairContact",
     "PointTerm",
     "Problem",
     "RigidContact",
@@ -51,6 +50,7 @@ __all__ = [
     "Springs",
     "State",
     "Statistics",
+    "SurfaceContact",
     "Tension",
     "Volume",
     "clamp",

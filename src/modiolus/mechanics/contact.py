@@ -12,8 +12,12 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..hermite import HermiteMesh
 from .assembly import Pattern
+from .facing import Facing, Pairs, Patches
 from .laws import PAIRS, Array
 from .terms import IntArray, Load, PointTerm, Response, by_host
+
+#: Elements, axis and side: a surface of the mesh, see `HermiteMesh.face`.
+Side = tuple[IntArray, int, int]
 
 
 class SignedDistance(Protocol):
@@ -125,110 +129,175 @@ class RigidContact(PointTerm):
         )
         return Response(energies, slope[:, None] * gradient, stiffness)
 
-    def penetration(self, vectors: Array, load: Load | None = None) -> float:
+    def depth(self, vectors: Array, load: Load) -> Array:
+        """Return how much deeper than at rest the points are below the surface in mm, (n,)."""
+        distance, _, _ = self.sample(vectors, load)
+        return np.maximum(self.least - distance, 0.0)
+
+    def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest depth below the body's surface beyond that at rest, in mm."""
-        distance, _, _ = self.sample(vectors, Load() if load is None else load)
-        return float(np.maximum(self.least - distance, 0.0).max(initial=0.0))
+        vectors = np.asarray(self.functions @ parameters)
+        return float(self.depth(vectors, Load() if load is None else load).max(initial=0.0))
 
 
-class PairContact(PointTerm):
-    """Matched points of two facing surfaces: lip on lip, lid on lid.
+class SurfaceContact(PointTerm):
+    """Two surfaces of the tissue against each other: lip on lip, lid on lid.
 
-    The gap of a pair is ``g = (x_upper - x_lower) · n``, with ``n`` the mean normal of the
-    two surfaces, pointing from the lower to the upper one. It turns with the surfaces from
-    one load step to the next and stands still within one. Gaps below ``min(g_rest, 0)``
-    by ``t`` have the energy ``ε A penalty(t)``.
+    Points of the slave are projected onto the master wherever it has gone, and slide along
+    it. With the closest point ``x_m`` and its outward normal ``n`` the gap is
+    ``g = (x - x_m) · n``. Gaps below ``min(g_rest, 0)`` by ``t`` have the energy
+    ``ε A penalty(t)``. The tangent is that of the energy, with all that the closest point
+    contributes to it.
 
     Parameters
     ----------
     mesh : HermiteMesh
         Tissue at rest, of dimension 3.
-    upper, lower : pair of (elements (n,), xi (n, 3))
-        Matched points on the two surfaces.
-    axis : int
-        Both surfaces are faces of constant ``xi_axis``.
-    areas : (n,) array
-        In mm².
+    slave, master : (elements, axis, side)
+        The two surfaces, see `HermiteMesh.face`.
     stiffness : float
         ε in kPa/mm.
     onset : float
         Depth in mm over which the stiffness grows to ε.
+    points : (patches (n,), xi (n, 2), areas (n,)), optional
+        Points of the slave, as indices into its elements and coordinates on their side;
+        4 x 4 Gauss points by default. `segments` makes those that integrate the pressure
+        exactly between meshes that do not match.
     name : str
+
+    Attributes
+    ----------
+    areas : (n,) array
+        Of the points at rest, in mm².
     """
+
+    #: Difference of the positions; tangents and second derivatives of the master.
+    width = 6
+    follows = True
 
     def __init__(
         self,
         mesh: HermiteMesh,
-        upper: tuple[ArrayLike, ArrayLike],
-        lower: tuple[ArrayLike, ArrayLike],
-        axis: int,
-        areas: ArrayLike,
+        slave: Side,
+        master: Side,
         stiffness: float = 100.0,
         onset: float = 0.1,
-        name: str = "pair contact",
+        points: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None,
+        name: str = "surface contact",
     ) -> None:
-        pairs = np.stack([np.asarray(upper[0]), np.asarray(lower[0])], axis=1)
-        kinds, hosts = np.unique(pairs, axis=0, return_inverse=True)
-        order = by_host(hosts.ravel())
-        hosts = hosts.ravel()[order]
+        super().__init__(name, sp.csr_matrix((0, mesh.n_params)), [])
         if not stiffness >= 0.0:
             raise InputError(f"{name}: stiffness {stiffness} is not a number from 0 up; mend it")
-        sides = [
-            (np.asarray(e)[order], np.asarray(xi, dtype=float)[order]) for e, xi in (upper, lower)
-        ]
-        (upper_functions, lower_functions) = (mesh.functions(*side) for side in sides)
-        functions = sp.csr_matrix(upper_functions - lower_functions)
-        super().__init__(name, functions, hosts)
-        self._n_hosts = len(kinds)
-        self.stiffness = stiffness * np.asarray(areas, dtype=float)[order]
-        units = [[int(k == other) for k in range(3)] for other in range(3) if other != axis]
+        first, second = Patches.of(mesh, *slave), Patches.of(mesh, *master)
+        if points is None:
+            rule = first.surface.quadrature(4)
+            points = rule.elements, rule.xi, rule.weights
         self.onset = onset
-        self._tangents = [[mesh.functions(*side, unit) for unit in units] for side in sides]
-        gap = np.asarray(functions @ mesh.parameters)
-        normals = self._raw_normals(mesh.parameters)
-        # Each surface's normal is turned to point from the lower to the upper surface; when
-        # they touch at rest, the vector between the host elements' centres decides.
-        centre = np.full((len(hosts), 3), 0.5)
-        apart = mesh.evaluate(sides[0][0], centre) - mesh.evaluate(sides[1][0], centre)
-        towards = np.where((gap**2).sum(axis=1, keepdims=True) > 1e-4, gap, apart)
-        self._signs = [np.where((n * towards).sum(axis=1) < 0.0, -1.0, 1.0) for n in normals]
-        self.normals = self._mean_normals(normals)
-        self.least = np.minimum((gap * self.normals).sum(axis=1), 0.0)
+        self.areas = np.asarray(points[2], dtype=float)
+        self.stiffness = stiffness * self.areas
+        self._facing = Facing(first, second, points[0], points[1])
+        self._pairs = Pairs(self._facing)
+        self._order = np.empty(0, dtype=np.int64)
+        ticks = np.linspace(0.0, 1.0, 7)
+        cell = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._checks = [
+            Facing(
+                one,
+                other,
+                np.repeat(np.arange(one.surface.n_elements), len(cell)),
+                np.tile(cell, (one.surface.n_elements, 1)),
+            )
+            for one, other in ((first, second), (second, first))
+        ]
 
     def pattern(self) -> Pattern:
-        """Return the pattern of the pairs of host elements."""
-        return Pattern.from_functions(self.functions, self.hosts, self._n_hosts)
+        """Return the pattern of the pairs of patches that may meet."""
+        return self._pairs.pattern
 
-    def _raw_normals(self, parameters: Array) -> list[Array]:
-        out = []
-        for first, second in self._tangents:
-            normal = np.cross(np.asarray(first @ parameters), np.asarray(second @ parameters))
-            length = np.linalg.norm(normal, axis=1, keepdims=True)
-            out.append(normal / np.maximum(length, 1e-12))
-        return out
-
-    def _mean_normals(self, normals: list[Array]) -> Array:
-        mean = sum(s[:, None] * n for s, n in zip(self._signs, normals, strict=True))
-        return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12))
-
-    def update(self, parameters: Array) -> None:
-        """Turn the normals with the surfaces."""
-        self.normals = self._mean_normals(self._raw_normals(parameters))
+    def follow(self, parameters: Array) -> tuple[Array, IntArray]:
+        """Project the points anew and return their functionals."""
+        found = self._facing.project(parameters)
+        functions, starts, self._order = self._pairs.functionals(found)
+        return functions, starts
 
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
-        """Evaluate the penalty at fixed normals."""
-        n = self.normals
-        energies, slope, bend = (
-            self.stiffness * part
-            for part in penalty(self.least - (vectors * n).sum(axis=1), self.onset)
-        )
-        stiffness = np.stack([bend * n[:, i] * n[:, j] for i, j in PAIRS], axis=1)
-        return Response(energies, -slope[:, None] * n, stiffness)
+        """Evaluate the penalty of the gap at the points last projected.
 
-    def penetration(self, vectors: Array, load: Load | None = None) -> float:
-        """Return the greatest overlap beyond that at rest, in mm."""
-        gap = (vectors * self.normals).sum(axis=1)
-        return float(np.maximum(self.least - gap, 0.0).max(initial=0.0))
+        The first variation of the gap is ``δg = n · δw`` with ``w = x - x_m``; the second
+        follows from ``A δξ = δw · τ + g n · δτ``, where ``A = a - g κ`` with the metric ``a`` of
+        the tangents ``τ`` and the curvature ``κ = n · ∂²x_m``:
+        ``Δδg = -b·Δξ - Δb·δξ - δξ·κΔξ + g (b + κδξ)·a⁻¹(Δb + κΔξ)`` with ``b = n · δτ``.
+        """
+        n_points = len(vectors)
+        stiffness, least = self.stiffness[self._order], self._facing.least[self._order]
+        w, tangents = vectors[:, 0], vectors[:, 1:3]
+        normal = self._facing.master.sign * np.cross(tangents[:, 0], tangents[:, 1])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        gap = (w * normal).sum(axis=1)
+        energies, slope, bend = (stiffness * part for part in penalty(least - gap, self.onset))
+        forces = np.zeros((n_points, 6, 3))
+        forces[:, 0] = -slope[:, None] * normal
+        # By the vector and its component: (n, 3, 3, 3, 3) for the first three vectors.
+        second = np.zeros((n_points, 6, 3, 6, 3))
+        second[:, 0, :, 0] = bend[:, None, None] * normal[:, :, None] * normal[:, None, :]
+        touching = slope > 0.0
+        if touching.any() and not convex:
+            curvature = vectors[:, [3, 4, 4, 5]] @ normal[:, :, None]
+            second[touching, :3, :, :3] -= slope[touching, None, None, None, None] * bent(
+                gap[touching],
+                normal[touching],
+                tangents[touching],
+                curvature.reshape(-1, 2, 2)[touching],
+            )
+        pairs = [second[:, :, i, :, j] for i, j in PAIRS]
+        return Response(energies, forces, np.stack(pairs, axis=1))
+
+    def pressure(self, parameters: Array) -> tuple[Array, Array]:
+        """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
+        found = self._facing.project(parameters)
+        depth = np.where(found.host >= 0, self._facing.least - found.gap, 0.0)
+        slope = penalty(depth, self.onset)[1]
+        return self._facing.points(parameters), self.stiffness * slope / self.areas
+
+    def penetration(self, parameters: Array, load: Load | None = None) -> float:
+        """Return the greatest overlap beyond that at rest in mm, of either surface.
+
+        Samples of both surfaces, borders included, are projected onto the other.
+        """
+        return max(float(check.overlap(parameters).max(initial=0.0)) for check in self._checks)
+
+
+def bent(gap: Array, normal: Array, tangents: Array, curvature: Array) -> Array:
+    """Return the second derivative of gaps by ``(w, τ1, τ2)``, see `SurfaceContact.respond`.
+
+    Parameters
+    ----------
+    gap : (n,) array
+    normal : (n, 3) array
+    tangents : (n, 2, 3) array
+    curvature : (n, 2, 2) array
+
+    Returns
+    -------
+    (n, 3, 3, 3, 3) array
+        Vector, component, vector, component.
+    """
+    n = len(gap)
+    metric = tangents @ tangents.transpose(0, 2, 1)
+    drive = np.zeros((n, 2, 3, 3))
+    drive[:, :, 0] = tangents
+    tilt = np.zeros((n, 2, 3, 3))
+    for k in range(2):
+        drive[:, k, k + 1] = gap[:, None] * normal
+        tilt[:, k, k + 1] = normal
+    tilts = tilt.reshape(n, 2, 9)
+    slide = np.linalg.solve(metric - gap[:, None, None] * curvature, drive.reshape(n, 2, 9))
+    turn = tilts + curvature @ slide
+    back = slide.transpose(0, 2, 1)
+    cross = tilts.transpose(0, 2, 1) @ slide
+    out = -cross - cross.transpose(0, 2, 1) - back @ curvature @ slide
+    out += gap[:, None, None] * (turn.transpose(0, 2, 1) @ np.linalg.solve(metric, turn))
+    return np.asarray(out.reshape(n, 3, 3, 3, 3))
 
 
 def face_points(

@@ -14,7 +14,7 @@ from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw
 from ..face.tissue import Side
 from .constraints import clamp, symmetry_plane
-from .contact import PairContact, RigidContact, face_points
+from .contact import RigidContact, SurfaceContact, face_points
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
 from .problem import Problem
 from .terms import FibreQuadrature, Fibres, Load, PointTerm, Springs
@@ -256,18 +256,13 @@ def _motion(jaw: Jaw | None, share: float) -> Callable[[Load], tuple[Array, Arra
     return lambda load: jaw.pose(share * load.jaw)
 
 
-def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[PairContact]:
-    """Put upper against lower lip and lid, point by matching point of the slit."""
+def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[SurfaceContact]:
+    """Put the upper against the lower lip and lid."""
     for part in ("lip", "lid"):
-        sides = [face_points(head.tissue, *head.sides[f"{part}_{s}"]) for s in ("upper", "lower")]
-        (upper, upper_xi, areas), (lower, lower_xi, other) = sides
-        mean: Array = 0.5 * (areas + other)
-        yield PairContact(
+        yield SurfaceContact(
             head.tissue,
-            (upper, upper_xi),
-            (lower, lower_xi),
-            1,
-            mean,
+            head.sides[f"{part}_upper"],
+            head.sides[f"{part}_lower"],
             settings.contact,
             name=f"contact of the {part}s",
         )

@@ -14,7 +14,7 @@ from ..hermite import HermiteMesh, basis, gauss
 from . import kernels
 from .assembly import Assembly, Pattern
 from .laws import WIDTHS, Array, Formulation, Volume
-from .terms import Fibres, Load, PointTerm
+from .terms import Fibres, Load, PointTerm, by_host
 
 IntArray = NDArray[np.int64]
 
@@ -155,6 +155,56 @@ class Evaluation:
         return sum(self.energies.values())
 
 
+@dataclass(frozen=True)
+class _Batch:
+    """Terms of one pattern whose points go through the kernels together.
+
+    Attributes
+    ----------
+    group : int
+        Number of the pattern.
+    width : int
+        Vectors a point.
+    functions : (n width, m) array
+        Of all points, sorted by host.
+    starts : (hosts + 1,) int array
+        Rows of each host.
+    members : sequence of (term, its points)
+    """
+
+    group: int
+    width: int
+    functions: Array
+    starts: IntArray
+    members: Sequence[tuple[PointTerm, IntArray | slice]]
+
+    @classmethod
+    def of(cls, terms: Sequence[PointTerm], pattern: Pattern, group: int) -> _Batch:
+        """Sort the points of some terms by their host."""
+        width = terms[0].width
+        hosts = np.concatenate([term.hosts for term in terms])
+        order = by_host(hosts)
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        ends = np.cumsum([len(term.hosts) for term in terms])
+        members: list[tuple[PointTerm, IntArray | slice]] = [
+            (term, place[end - len(term.hosts) : end])
+            for term, end in zip(terms, ends, strict=True)
+        ]
+        if terms[0].follows:
+            members = [(terms[0], slice(None))]
+        rows = (order[:, None] * width + np.arange(width)).ravel()
+        functions = sp.csr_matrix(sp.vstack([term.functions for term in terms]))[rows]
+        hosts = np.repeat(hosts[order], width)
+        counts = np.bincount(hosts, minlength=len(pattern.params))
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        return cls(group, width, pattern.dense(functions, hosts), starts, members)
+
+    def place(self, parameters: Array) -> tuple[Array, IntArray]:
+        """Return functions and starts, anew where they depend on the configuration."""
+        return self.members[0][0].follow(parameters) or (self.functions, self.starts)
+
+
 class Problem:
     """Quasi-static equilibrium of a muscle-driven tissue.
 
@@ -235,17 +285,16 @@ class Problem:
         )
 
         patterns = [self.pattern]
-        self._bound: list[tuple[PointTerm, int, Array, IntArray]] = []
+        shared: dict[int, list[PointTerm]] = {}
+        self._batches: list[_Batch] = []
         for term in self.terms:
             own = term.pattern()
-            if own is not None:
+            if own is None:
+                shared.setdefault(term.width, []).append(term)
+            else:
                 patterns.append(own)
-            pattern = self.pattern if own is None else own
-            rows = np.repeat(term.hosts, term.width)
-            counts = np.bincount(rows, minlength=len(pattern.params))
-            starts = np.concatenate([[0], np.cumsum(counts)])
-            group = 0 if own is None else len(patterns) - 1
-            self._bound.append((term, group, pattern.dense(term.functions, rows), starts))
+                self._batches.append(_Batch.of([term], own, len(patterns) - 1))
+        self._batches += [_Batch.of(terms, self.pattern, 0) for terms in shared.values()]
         self.assembly = Assembly(patterns, self.fixed, n_vertices)
         squares = np.einsum("eq,eqa->ea", self.weights, (basis(3, xi) @ extraction) ** 2)
         mass = np.bincount(self.pattern.params.ravel(), squares.ravel(), minlength=mesh.n_params)
@@ -358,21 +407,22 @@ class Problem:
                 )
             )
         }
-        for term, number, functions, starts in self._bound:
-            group = self.assembly.groups[number]
+        for batch in self._batches:
+            group, width = self.assembly.groups[batch.group], batch.width
+            functions, starts = batch.place(parameters)
             vectors = kernels.evaluate(parameters, group.pattern.params, starts, functions)
-            if term.width > 1:
-                vectors = vectors.reshape(-1, term.width, 3)
-            answer = term.respond(vectors, load, convex)
-            energies[term.name] = energies.get(term.name, 0.0) + float(answer.energies.sum())
+            vectors = vectors.reshape(-1, width, 3)
+            forces = np.empty(vectors.shape)
+            stiffness = np.empty((len(vectors), 6, width, width))
+            for term, points in batch.members:
+                answer = term.respond(
+                    vectors[points] if width > 1 else vectors[points, 0], load, convex
+                )
+                energies[term.name] = energies.get(term.name, 0.0) + float(answer.energies.sum())
+                forces[points] = answer.forces.reshape(-1, width, 3)
+                stiffness[points] = answer.stiffness.reshape(-1, 6, width, width)
             kernels.scatter_points(
-                starts,
-                functions,
-                answer.forces.reshape(-1, term.width, 3),
-                answer.stiffness.reshape(-1, 6, term.width, term.width),
-                tangent,
-                group.residual,
-                group.tangent,
+                starts, functions, forces, stiffness, tangent, group.residual, group.tangent
             )
         return Evaluation(energies, self.assembly.residual(), volume_ratio)
 
@@ -414,13 +464,7 @@ class Problem:
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest interpenetration of any contact in mm."""
-        return max(
-            (
-                term.penetration(np.asarray(term.functions @ parameters), load)
-                for term in self.terms
-            ),
-            default=0.0,
-        )
+        return max((term.penetration(parameters, load) for term in self.terms), default=0.0)
 
     def check(self, parameters: Array, load: Load, volume_ratio: Array) -> Statistics:
         """Return the figures that describe a state rather than the way to it."""

@@ -106,6 +106,8 @@ class PointTerm(ABC):
 
     #: Number of vectors a point.
     width: int = 1
+    #: Whether the functionals depend on the configuration, see `follow`.
+    follows: bool = False
     name: str
     functions: sp.csr_matrix
     hosts: IntArray
@@ -117,6 +119,18 @@ class PointTerm(ABC):
 
     def pattern(self) -> Pattern | None:
         """Return the term's own pattern, or None when its hosts are the mesh's elements."""
+        return None
+
+    def follow(self, parameters: Array) -> tuple[Array, IntArray] | None:
+        """Return the functionals of a configuration, or None when they are fixed.
+
+        Returns
+        -------
+        functions : (n width, m) array
+            On the functions of the term's pattern, sorted by host.
+        starts : (hosts + 1,) int array
+            Rows of each host.
+        """
         return None
 
     @abstractmethod
@@ -132,7 +146,7 @@ class PointTerm(ABC):
     def update(self, parameters: Array) -> None:  # noqa: B027
         """Refresh what is kept fixed within a load step from converged parameters."""
 
-    def penetration(self, vectors: Array, load: Load | None = None) -> float:
+    def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest depth of interpenetration in mm (0 where it has no meaning)."""
         return 0.0
 

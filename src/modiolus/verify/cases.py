@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..errors import unknown_name
-from . import closed, derivatives, febio, land, opencmiss, patch, rates
+from . import closed, contact, derivatives, febio, land, opencmiss, patch, rates
 from .case import Case
 
 #: In the order in which they run.
@@ -23,6 +23,8 @@ CASES = {
         Case("muscle-work", "the work of a muscle is the energy stored", closed.muscle_work),
         Case("manufactured", "rates of convergence to a known solution", rates.manufactured),
         Case("inf-sup", "the pressure is stable under refinement", rates.inf_sup),
+        Case("contact-patch", "even pressure between unlike meshes", contact.even_pressure),
+        Case("hertz", "two round bodies against Hertz", contact.hertz),
         Case("opencmiss-cantilever", "cantilever under its own weight", opencmiss.cantilever),
         Case("opencmiss-extension", "tricubic axial extension", opencmiss.extension),
         Case("febio-mu02", "FEBio's muscle, slack", febio.mu02),

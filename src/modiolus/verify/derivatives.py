@@ -22,7 +22,6 @@ from ..mechanics import (
     Guccione,
     Law,
     Load,
-    PairContact,
     PointTerm,
     Problem,
     RigidContact,
@@ -73,10 +72,6 @@ def terms(mesh: HermiteMesh) -> dict[str, PointTerm]:
     hosts, xi, weights = rng.integers(0, 4, 40), rng.uniform(size=(40, 3)), np.linspace(5, 20, 40)
     rule = FibreQuadrature(hosts, xi, weights, directions, rng.integers(0, 2, 40))
     inner = face_points(mesh, np.arange(4), 2, 0, 3)
-    facing = face_points(mesh, [2, 3], 1, 0, 3)
-    across = (np.array([0, 1]).repeat(9), facing[1] * [1.0, 0.0, 1.0])
-    pairs = PairContact(mesh, facing[:2], across, 1, facing[2])
-    pairs.least += 7.5  # as if only 0.5 mm lay between the faces
     return {
         "fibres": Fibres(mesh, rule, ("first", "second"), FibreLaw(optimal=1.1), {"second": 0.9}),
         "springs": Springs(
@@ -85,7 +80,6 @@ def terms(mesh: HermiteMesh) -> dict[str, PointTerm]:
         "rigid contact": RigidContact(
             mesh, Sphere((10, 8, -30), 30.3), *inner, slide=np.full(len(inner[0]), 0.2)
         ),
-        "pair contact": pairs,
         "body force": DeadForces.body(mesh, [0.3, -0.2, -1.0]),
         "tension": Tension(mesh, hosts, xi, weights, directions),
     }

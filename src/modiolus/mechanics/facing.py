@@ -1,0 +1,550 @@
+"""Closest points between the sides of elements that face each other.
+
+A side of an element is a bicubic Hermite patch of 16 local functions. Points of one set of
+patches, the slave, are projected onto another, the master: samples of the master's patches
+find the one to begin with, Newton's method its closest point. Where that lies beyond the
+border of the patch, the neighbours are asked; beyond the border of the whole surface the
+patch goes on straight for its own width, so that a lip that slides out over the other one's
+edge is still held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from ..hermite import HermiteMesh, gauss
+from .assembly import Pattern
+from .laws import Array
+
+IntArray = NDArray[np.int64]
+
+#: Samples a direction of a master patch that decide where a search begins.
+SAMPLES = 4
+#: Widths of a patch for which it goes on straight beyond the surface's border.
+BEYOND = 1.0
+#: Overlaps greater than this (mm) are those of the far side of a body, not contact.
+DEEPEST = 5.0
+
+
+@njit(cache=True)
+def _cubic(t: Any, out: Any) -> None:
+    """Write the four cubic Hermite functions of one variable, (3 derivatives, 4).
+
+    Outside [0, 1] they go on straight.
+    """
+    at = min(1.0, max(0.0, t))
+    out[0, 0] = 1.0 + at * at * (2.0 * at - 3.0)
+    out[0, 1] = at * (1.0 + at * (at - 2.0))
+    out[0, 2] = at * at * (3.0 - 2.0 * at)
+    out[0, 3] = at * at * (at - 1.0)
+    out[1, 0] = 6.0 * at * (at - 1.0)
+    out[1, 1] = 1.0 + at * (3.0 * at - 4.0)
+    out[1, 2] = -out[1, 0]
+    out[1, 3] = at * (3.0 * at - 2.0)
+    if t == at:
+        out[2, 0] = 12.0 * at - 6.0
+        out[2, 1] = 6.0 * at - 4.0
+        out[2, 2] = -out[2, 0]
+        out[2, 3] = 6.0 * at - 2.0
+    else:
+        for k in range(4):
+            out[0, k] += (t - at) * out[1, k]
+            out[2, k] = 0.0
+
+
+@njit(cache=True)
+def patch_functions(s: Any, t: Any, out: Any) -> None:
+    """Write the 16 functions of a patch and their derivatives 1, 2, 11, 12, 22; (6, 16)."""
+    a = np.empty((3, 4))
+    b = np.empty((3, 4))
+    _cubic(s, a)
+    _cubic(t, b)
+    for corner in range(4):
+        for kind in range(4):
+            i = 2 * (corner & 1) + (kind & 1)
+            j = 2 * (corner >> 1) + (kind >> 1)
+            k = 4 * corner + kind
+            out[0, k] = a[0, i] * b[0, j]
+            out[1, k] = a[1, i] * b[0, j]
+            out[2, k] = a[0, i] * b[1, j]
+            out[3, k] = a[2, i] * b[0, j]
+            out[4, k] = a[1, i] * b[1, j]
+            out[5, k] = a[0, i] * b[2, j]
+
+
+@njit(cache=True)
+def closest_of(local: Any, point: Any, xi: Any, functions: Any, values: Any) -> Any:
+    """Newton's method for the closest point of a patch, from ``xi`` on, which is overwritten.
+
+    ``functions`` (6, 16) and ``values`` (6, 3) are left at the last point. Returns whether
+    the search has settled.
+    """
+    for _ in range(40):
+        patch_functions(xi[0], xi[1], functions)
+        values[:] = 0.0
+        for d in range(6):
+            for k in range(16):
+                for i in range(3):
+                    values[d, i] += functions[d, k] * local[k, i]
+        r0 = r1 = a00 = a01 = a11 = k00 = k01 = k11 = 0.0
+        for i in range(3):
+            w = point[i] - values[0, i]
+            r0 += w * values[1, i]
+            r1 += w * values[2, i]
+            a00 += values[1, i] * values[1, i]
+            a01 += values[1, i] * values[2, i]
+            a11 += values[2, i] * values[2, i]
+            k00 += w * values[3, i]
+            k01 += w * values[4, i]
+            k11 += w * values[5, i]
+        m00, m01, m11 = a00 - k00, a01 - k01, a11 - k11
+        det = m00 * m11 - m01 * m01
+        if not (m00 > 0.05 * a00 and det > 0.05 * (a00 * a11 - a01 * a01)):
+            m00, m01, m11 = a00, a01, a11
+            det = m00 * m11 - m01 * m01
+        if not det > 1e-12 * a00 * a11:
+            return False
+        d0 = (m11 * r0 - m01 * r1) / det
+        d1 = (m00 * r1 - m01 * r0) / det
+        length = max(abs(d0), abs(d1))
+        if length < 1e-12:
+            return True
+        factor = min(1.0, 0.5 / length)
+        xi[0] = min(2.0, max(-1.0, xi[0] + factor * d0))
+        xi[1] = min(2.0, max(-1.0, xi[1] + factor * d1))
+    return False
+
+
+@njit(cache=True)
+def project(
+    parameters: Any,
+    patches: Any,
+    extraction: Any,
+    sign: Any,
+    points: Any,
+    candidates: Any,
+    beyond: Any,
+    host: Any,
+    xi: Any,
+    gap: Any,
+    outside: Any,
+) -> None:
+    """Project points onto the patches of a master.
+
+    Parameters
+    ----------
+    parameters : (n_params, 3) array
+    patches : (f, m) int array
+        Global parameters of each patch.
+    extraction : (f, 16, m) array
+        Local parameters of a patch from its global ones.
+    sign : float
+        1 where the cross product of a patch's tangents points out of the body, else -1.
+    points : (n, 3) array
+    candidates : (n, c) int array
+        Patches that may meet a point, padded with -1.
+    beyond : float
+        How far outside [0, 1] a local coordinate may lie.
+    host : (n,) int array, written
+        Patch, or -1 where none faces the point.
+    xi : (n, 2) array, written
+    gap : (n,) array, written
+        Signed distance along the master's outward normal in mm.
+    outside : (n,) array, written
+        How far the projection lies outside its patch, in local coordinates.
+    """
+    n_patches, m = patches.shape
+    local = np.zeros((n_patches, 16, 3))
+    samples = np.zeros((n_patches, SAMPLES * SAMPLES, 3))
+    size = np.zeros(n_patches)
+    functions = np.empty((6, 16))
+    for f in range(n_patches):
+        for k in range(16):
+            for a in range(m):
+                e = extraction[f, k, a]
+                if e != 0.0:
+                    for i in range(3):
+                        local[f, k, i] += e * parameters[patches[f, a], i]
+        for c in range(SAMPLES * SAMPLES):
+            patch_functions(
+                (c % SAMPLES + 0.5) / SAMPLES, (c // SAMPLES + 0.5) / SAMPLES, functions
+            )
+            for k in range(16):
+                for i in range(3):
+                    samples[f, c, i] += functions[0, k] * local[f, k, i]
+        for i in range(3):
+            size[f] += (samples[f, 0, i] - samples[f, SAMPLES * SAMPLES - 1, i]) ** 2
+        size[f] = np.sqrt(size[f])
+    values = np.empty((6, 3))
+    trial = np.empty(2)
+    seed = np.empty((n_patches, 2))
+    nearest = np.empty(n_patches)
+    for p in range(len(points)):
+        host[p] = -1
+        outside[p] = np.inf
+        gap[p] = np.inf
+        close = False
+        for c in range(candidates.shape[1]):
+            f = candidates[p, c]
+            if f < 0:
+                break
+            nearest[f] = np.inf
+            for q in range(SAMPLES * SAMPLES):
+                d = 0.0
+                for i in range(3):
+                    d += (points[p, i] - samples[f, q, i]) ** 2
+                if d < nearest[f]:
+                    nearest[f] = d
+                    seed[f, 0] = (q % SAMPLES + 0.5) / SAMPLES
+                    seed[f, 1] = (q // SAMPLES + 0.5) / SAMPLES
+            close = close or nearest[f] < (size[f] + DEEPEST) ** 2
+        if not close:
+            continue
+        # The patches in the order of their nearest sample, until one holds the projection.
+        best_distance = np.inf
+        for _ in range(candidates.shape[1]):
+            chosen = -1
+            for c in range(candidates.shape[1]):
+                f = candidates[p, c]
+                if f >= 0 and nearest[f] < np.inf and (chosen < 0 or nearest[f] < nearest[chosen]):
+                    chosen = f
+            if chosen < 0:
+                break
+            nearest[chosen] = np.inf
+            trial[:] = seed[chosen]
+            if not closest_of(local[chosen], points[p], trial, functions, values):
+                continue
+            over = max(max(-trial[0], trial[0] - 1.0), max(-trial[1], trial[1] - 1.0), 0.0)
+            if over > beyond:
+                continue
+            n0 = values[1, 1] * values[2, 2] - values[1, 2] * values[2, 1]
+            n1 = values[1, 2] * values[2, 0] - values[1, 0] * values[2, 2]
+            n2 = values[1, 0] * values[2, 1] - values[1, 1] * values[2, 0]
+            length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            g = (
+                sign
+                / length
+                * (
+                    n0 * (points[p, 0] - values[0, 0])
+                    + n1 * (points[p, 1] - values[0, 1])
+                    + n2 * (points[p, 2] - values[0, 2])
+                )
+            )
+            if over < outside[p] - 1e-9 or (over <= 1e-9 and abs(g) < best_distance):
+                host[p] = chosen
+                xi[p] = trial
+                gap[p] = g
+                outside[p] = over
+                best_distance = abs(g)
+                if over <= 1e-9:
+                    break
+        if gap[p] < -DEEPEST:
+            host[p] = -1
+
+
+@njit(cache=True)
+def relate(
+    places: Any,
+    xi: Any,
+    order: Any,
+    pairs: Any,
+    slave: Any,
+    master: Any,
+    functions: Any,
+) -> None:
+    """Write the functionals of points: ``x_slave - x_master`` and the master's derivatives.
+
+    Parameters
+    ----------
+    places : (n, 2) array
+        Local coordinates of the points on the slave's patches.
+    xi : (n, 2) array
+        Local coordinates of their projections.
+    order : (k,) int array
+        Points to write.
+    pairs : (k,) int array
+        Pair of patches of each of these.
+    slave, master : (g, 16, m) arrays
+        Local parameters of the two patches of a pair from the parameters of the pair.
+    functions : (6 k, m) array, written
+        For each point the difference of the positions and the derivatives 1, 2, 11, 12, 22 of
+        the master's.
+    """
+    here = np.empty((6, 16))
+    there = np.empty((6, 16))
+    for k in range(len(order)):
+        patch_functions(places[order[k], 0], places[order[k], 1], here)
+        patch_functions(xi[order[k], 0], xi[order[k], 1], there)
+        for a in range(functions.shape[1]):
+            for d in range(6):
+                total = 0.0
+                for c in range(16):
+                    total += there[d, c] * master[pairs[k], c, a]
+                functions[6 * k + d, a] = total
+            total = 0.0
+            for c in range(16):
+                total += here[0, c] * slave[pairs[k], c, a]
+            functions[6 * k, a] = total - functions[6 * k, a]
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Sides of elements as bicubic patches.
+
+    Attributes
+    ----------
+    surface : HermiteMesh
+        The sides, of dimension 2.
+    sign : float
+        1 where the cross product of the tangents points out of the body, else -1.
+    pattern : Pattern
+        Global parameters of each patch.
+    extraction : (f, 16, m) array
+        Local parameters of a patch from its global ones.
+    """
+
+    surface: HermiteMesh
+    sign: float
+    pattern: Pattern
+    extraction: Array
+
+    @classmethod
+    def of(cls, mesh: HermiteMesh, elements: ArrayLike, axis: int, side: int) -> Patches:
+        """Take one side of some elements of a volume mesh; see `HermiteMesh.face`."""
+        surface = mesh.face(elements, axis, side)
+        hosts = np.repeat(np.arange(surface.n_elements), 16)
+        pattern = Pattern.from_functions(surface.extraction, hosts, surface.n_elements)
+        extraction = pattern.dense(surface.extraction, hosts).reshape(len(pattern.params), 16, -1)
+        # The tangents of a face are those of the two other directions in ascending order.
+        outward = (1.0 if side == 1 else -1.0) * (-1.0 if axis == 1 else 1.0)
+        return cls(surface, outward, pattern, extraction)
+
+    def neighbours(self) -> NDArray[np.bool_]:
+        """Tell which patches share a corner, (f, f)."""
+        corners, _ = self.surface.corner_nodes()
+        used = sp.csr_matrix(
+            (
+                np.ones(corners.size),
+                (np.repeat(np.arange(len(corners)), corners.shape[1]), corners.ravel()),
+            )
+        )
+        return np.asarray((used @ used.T).toarray() > 0)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Where points lie in front of a master.
+
+    Attributes
+    ----------
+    host : (n,) int array
+        Patch of the master, -1 where none faces the point.
+    xi : (n, 2) array
+        Place on it.
+    gap : (n,) array
+        Signed distance in mm, negative where the point is inside the master's body.
+    outside : (n,) array
+        How far the place is outside its patch, in local coordinates.
+    """
+
+    host: IntArray
+    xi: Array
+    gap: Array
+    outside: Array
+
+
+def segments(slave: Patches, master: Patches, n: int = 4) -> tuple[IntArray, Array, Array]:
+    """Return points of a slave that integrate exactly where the master's patches end.
+
+    The borders of the master's patches are projected onto those of the slave, as straight
+    lines in their local coordinates, and cut these into polygons; each polygon is integrated
+    over the triangles from its middle. On plane sides with straight edges an even pressure
+    is handed on exactly, whether the meshes match or not.
+
+    Parameters
+    ----------
+    slave, master : Patches
+        Surfaces that touch or nearly do.
+    n : int
+        Gauss points a direction of each triangle.
+
+    Returns
+    -------
+    patches : (q,) int array
+    xi : (q, 2) array
+    areas : (q,) array
+        In mm².
+    """
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    unit, unit_weights = gauss(2, n)
+    functions, values, xi = np.empty((6, 16)), np.empty((6, 3)), np.empty(2)
+    rest = slave.surface.local()
+    patches: list[int] = []
+    places: list[Array] = []
+    shares: list[Array] = []
+    for f in range(master.surface.n_elements):
+        points = master.surface.evaluate([f] * 4, corners)
+        for e in range(slave.surface.n_elements):
+            polygon = []
+            for point in points:
+                xi[:] = 0.5
+                closest_of(rest[e], point, xi, functions, values)
+                polygon.append(xi.copy())
+            cut = _clipped(polygon)
+            middle = np.mean(cut, axis=0) if len(cut) > 2 else None
+            for k in range(len(cut)):
+                if middle is None:
+                    break
+                one, other = cut[k - 1] - middle, cut[k] - middle
+                area = abs(one[0] * other[1] - one[1] * other[0])
+                if area < 1e-12:
+                    continue
+                # The square collapsed onto the triangle.
+                u, v = unit[:, :1], unit[:, 1:]
+                places.append(middle + u * ((1.0 - v) * one + v * other))
+                shares.append(unit_weights * unit[:, 0] * area)
+                patches += [e] * len(unit)
+    at = np.asarray(patches, dtype=np.int64)
+    where = np.concatenate(places) if places else np.empty((0, 2))
+    tangents = slave.surface.jacobian(at, where)
+    stretch = np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=1)
+    return at, where, np.concatenate([*shares, np.empty(0)]) * stretch
+
+
+def _clipped(polygon: list[Array]) -> list[Array]:
+    """Cut a polygon to the unit square, border after border (Sutherland and Hodgman 1974)."""
+    for axis, side in ((0, 0.0), (0, 1.0), (1, 0.0), (1, 1.0)):
+        kept: list[Array] = []
+        for k, end in enumerate(polygon):
+            begin = polygon[k - 1]
+            a, b = ((1.0 if side == 0.0 else -1.0) * (p[axis] - side) for p in (begin, end))
+            if (a > 0.0) != (b > 0.0):
+                kept.append(begin + a / (a - b) * (end - begin))
+            if b > 0.0:
+                kept.append(end)
+        polygon = kept
+    return polygon
+
+
+class Facing:
+    """Points of a slave surface before a master surface.
+
+    Parameters
+    ----------
+    slave, master : Patches
+        Of one mesh.
+    patches : (n,) int array
+        Slave patch of each point.
+    xi : (n, 2) array
+    """
+
+    def __init__(self, slave: Patches, master: Patches, patches: ArrayLike, xi: ArrayLike) -> None:
+        self.slave, self.master = slave, master
+        self.patches = np.asarray(patches, dtype=np.int64)
+        self.xi = np.asarray(xi, dtype=float)
+        self.functions = slave.surface.functions(self.patches, self.xi)
+        # Who may meet whom: the patches found at rest and those around them.
+        everyone = np.tile(np.arange(master.surface.n_elements), (len(self.patches), 1))
+        self._candidates = everyone
+        rest = slave.surface.parameters
+        points = np.asarray(self.functions @ rest)
+        found = self.project(rest, np.inf).host
+        lost = found < 0
+        if lost.any():
+            found[lost] = master.surface.locate(points[lost]).elements
+        met = np.zeros((slave.surface.n_elements, master.surface.n_elements), dtype=bool)
+        met[self.patches, found] = True
+        #: Which patches of the master a patch of the slave may meet, (slaves, masters).
+        self.allowed = (met @ master.neighbours()) > 0
+        width = int(self.allowed.sum(axis=1).max(initial=1))
+        table = np.full((len(self.allowed), width), -1)
+        for row, may in enumerate(self.allowed):
+            table[row, : may.sum()] = np.flatnonzero(may)
+        self._candidates = np.ascontiguousarray(table[self.patches])
+        self.least = np.minimum(self.project(rest).gap, 0.0)
+
+    def points(self, parameters: Array) -> Array:
+        """Return the points of the slave (n, 3)."""
+        return np.asarray(self.functions @ parameters)
+
+    def project(self, parameters: Array, beyond: float = BEYOND) -> Projection:
+        """Find the closest point of the master for every point."""
+        n = len(self.patches)
+        out = Projection(np.empty(n, np.int64), np.empty((n, 2)), np.empty(n), np.empty(n))
+        master = self.master
+        project(
+            parameters,
+            master.pattern.params,
+            master.extraction,
+            master.sign,
+            np.ascontiguousarray(self.points(parameters)),
+            self._candidates,
+            beyond,
+            out.host,
+            out.xi,
+            out.gap,
+            out.outside,
+        )
+        return out
+
+    def overlap(self, parameters: Array) -> Array:
+        """Return how much deeper than at rest each point is inside the master's body, (n,)."""
+        found = self.project(parameters, 1e-6)
+        return np.where(found.host >= 0, np.maximum(self.least - found.gap, 0.0), 0.0)
+
+
+class Pairs:
+    """The parameters that meeting patches share, and the functionals of points on them.
+
+    Parameters
+    ----------
+    facing : Facing
+    """
+
+    def __init__(self, facing: Facing) -> None:
+        self.facing = facing
+        slaves, masters = np.nonzero(facing.allowed)
+        self._number = np.full(facing.allowed.shape, -1)
+        self._number[slaves, masters] = np.arange(len(slaves))
+        local = np.arange(16)
+        rows = sp.csr_matrix(
+            sp.vstack(
+                [
+                    facing.slave.surface.extraction[(slaves[:, None] * 16 + local).ravel()],
+                    facing.master.surface.extraction[(masters[:, None] * 16 + local).ravel()],
+                ]
+            )
+        )
+        hosts = np.tile(np.repeat(np.arange(len(slaves)), 16), 2)
+        self.pattern = Pattern.from_functions(rows, hosts, len(slaves))
+        dense = self.pattern.dense(rows, hosts)
+        self._slave, self._master = np.ascontiguousarray(
+            dense.reshape(2, len(slaves), 16, dense.shape[1])
+        )
+
+    def functionals(self, found: Projection) -> tuple[Array, IntArray, IntArray]:
+        """Return the functionals of the points that face the master.
+
+        Returns
+        -------
+        functions : (6 k, m) array
+            See `relate`.
+        starts : (pairs + 1,) int array
+            Rows of each pair.
+        order : (k,) int array
+            The points, sorted by their pair.
+        """
+        points = np.flatnonzero(found.host >= 0)
+        pairs = self._number[self.facing.patches[points], found.host[points]]
+        by_pair = np.argsort(pairs, kind="stable")
+        order, pairs = points[by_pair], pairs[by_pair]
+        functions = np.empty((6 * len(order), self.pattern.params.shape[1]))
+        relate(self.facing.xi, found.xi, order, pairs, self._slave, self._master, functions)
+        counts = np.bincount(pairs, minlength=len(self.pattern.params))
+        return functions, 6 * np.concatenate([[0], np.cumsum(counts)]), order

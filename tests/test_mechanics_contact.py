@@ -1,0 +1,104 @@
+"""Surfaces of the tissue against each other: forces, tangents, sliding, no crossing."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from modiolus import hermite
+from modiolus.mechanics import Load, Problem, SurfaceContact
+
+
+def block(counts, low, high):
+    ticks = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
+    return hermite.grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+
+
+def joined(*meshes):
+    """Several bodies as one mesh."""
+    extraction = sp.csr_matrix(sp.block_diag([mesh.extraction for mesh in meshes]))
+    return hermite.HermiteMesh(3, np.concatenate([m.parameters for m in meshes]), extraction)
+
+
+def stacked(gap=0.0, lower=(2, 2, 1), upper=(3, 2, 1)):
+    """Two blocks one above the other with their facing sides: the mesh, upper and lower side."""
+    below = block(lower, (0, 0, -6), (20, 16, 0))
+    above = block(upper, (2, 1, gap), (17, 15, gap + 6))
+    top = np.arange(below.n_elements)
+    return joined(below, above), (below.n_elements + np.arange(above.n_elements), 2, 0), (top, 2, 1)
+
+
+def bent(mesh, amount=0.3, seed=3):
+    rng = np.random.default_rng(seed)
+    return mesh.parameters + rng.uniform(-amount, amount, mesh.parameters.shape)
+
+
+def upper_part(mesh, upper):
+    """Parameters of the upper block."""
+    rows = upper[0][:, None] * 64 + np.arange(64)
+    return np.unique(mesh.extraction[rows.ravel()].indices)
+
+
+@pytest.mark.parametrize("gap", [0.3, 1e-4])
+def test_force_and_tangent_match_finite_differences(gap):
+    mesh, upper, lower = stacked(gap)
+    contact = SurfaceContact(mesh, upper, lower, stiffness=50.0)
+    problem = Problem(mesh, [2.0, 0.5, 0.0], terms=[contact])
+    state = problem.rest()
+    moved = bent(mesh)
+    moved[upper_part(mesh, upper)[::8]] -= [0.4, -0.2, gap + 0.2]
+    state.parameters[:] = moved
+
+    found = problem.evaluate(moved, state.pressure, Load(), tangent=True)
+    assert found.energies["surface contact"] > 10.0
+    full = problem.tangent()
+    full = full + sp.triu(full, 1).T
+    rng = np.random.default_rng(7)
+    for _ in range(3):
+        direction = rng.normal(size=problem.n_unknowns)
+        h = 1e-6
+        ahead, behind = (
+            problem.evaluate(*problem.add(state, direction, sign * h), Load()) for sign in (1, -1)
+        )
+        name = "surface contact"
+        slope = (ahead.energy - behind.energy) / (2 * h)
+        assert slope == pytest.approx(found.residual @ direction, rel=1e-5)
+        assert ahead.energies[name] != behind.energies[name]
+        rate = (ahead.residual - behind.residual) / (2 * h)
+        assert np.abs(rate - full @ direction).max() < 1e-5 * np.abs(rate).max()
+
+
+def test_resting_surfaces_do_not_push():
+    mesh, upper, lower = stacked(0.0)
+    contact = SurfaceContact(mesh, upper, lower)
+    problem = Problem(mesh, [2.0, 0.0, 0.0], terms=[contact])
+    rest = problem.rest()
+    found = problem.evaluate(rest.parameters, rest.pressure, Load())
+    assert found.energies["surface contact"] == 0.0
+    assert contact.penetration(rest.parameters) < 1e-9
+
+
+def test_force_follows_a_point_that_slides_over_the_border_of_an_element():
+    mesh, upper, lower = stacked(0.0)
+    contact = SurfaceContact(mesh, upper, lower, stiffness=20.0, onset=0.0)
+    problem = Problem(mesh, [2.0, 0.0, 0.0], terms=[contact])
+    values = upper_part(mesh, upper)[::8]
+    for slide in (0.0, 2.0, 4.9, -1.9):
+        moved = mesh.parameters.copy()
+        moved[values] += [slide, 0.5, -0.4]
+        pressure = np.zeros(len(problem.assembly.pressure_equations))
+        energies = problem.evaluate(moved, pressure, Load()).energies
+        # The whole side of 15 by 14 mm overlaps by 0.4 mm; 2 mm hang out over the end of the
+        # lower block at most, where it is continued.
+        assert energies["surface contact"] == pytest.approx(0.5 * 20 * 0.4**2 * 15 * 14)
+        if abs(slide) < 4.0:
+            assert contact.penetration(moved) == pytest.approx(0.4)
+
+
+def test_far_surfaces_cost_nothing_and_do_not_meet():
+    mesh, upper, lower = stacked(3.0)
+    contact = SurfaceContact(mesh, upper, lower)
+    assert contact.penetration(mesh.parameters) == 0.0
+    moved = mesh.parameters.copy()
+    moved[upper_part(mesh, upper)[::8]] += [0.0, 0.0, 30.0]
+    functions, _ = contact.follow(moved)
+    assert len(functions) == 0
