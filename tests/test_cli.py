@@ -14,6 +14,7 @@ from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError
 
 COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head show"]
+COMMANDS += ["compare", "identify", "validate"]
 
 
 @pytest.fixture

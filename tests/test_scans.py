@@ -76,7 +76,8 @@ def test_surfaces_are_read_alike(kind, skin, head, tmp_path):
     assert scan.surface.area == pytest.approx(surface.area, rel=1e-4)
     assert scan.weights.sum() == pytest.approx(surface.area, rel=1e-4)
     near = skin.state(head.tissue.parameters).feet(scan.points, scan.normals)
-    assert near.distance.max() < 0.01
+    # At the sharp edges of the margins the normal of a vertex is that of neither side.
+    assert (near.distance < 0.01).mean() > 0.99
 
 
 def test_a_cloud_gets_outward_normals_and_a_surface(skin, head, tmp_path):
@@ -251,15 +252,17 @@ def test_landmarks_align_too_and_are_checked(skin, head, tmp_path):
 
 def test_what_is_no_face_is_refused(skin, head):
     surface = skin.surface(head.tissue.parameters)
+    points = np.array(list(head.landmark_points().values()))
+    known = (points, points)
     mirrored = Surface(surface.vertices * [-1.0, 1.0, 1.0], surface.faces, "mirrored.ply")
     with pytest.raises(InputError) as error:
         register_scan(scan_of(mirrored, "mirrored.ply"), skin)
     assert_one_line(error, "mirror")
 
-    large = Surface(surface.vertices * 3.5, surface.faces, "large.ply")
+    # Whoever says centimetres of a scan in millimetres has a giant.
     with pytest.raises(InputError) as error:
-        register_scan(scan_of(large, "large.ply"), skin)
-    assert_one_line(error, "large.ply")
+        register_scan(scan_of(surface, "large.ply"), skin, unit="cm", landmarks=known)
+    assert_one_line(error, "large.ply", "wrong unit", "seems to be in mm")
 
     # A rough sheet of paper.
     ticks = np.linspace(0.0, 200.0, 60)

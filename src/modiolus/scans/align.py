@@ -202,13 +202,18 @@ def register_scan(
             f"{scan.name}: no face found (it fits to {pose.rms:.1f} mm only); give a scan of the "
             "face, or landmarks"
         )
-    names = list(UNITS) if unit is None else [unit]
-    sizes = {name: UNITS[name] / pose.scale for name in names}
-    if not any(_SIZES[0] < size < _SIZES[1] for size in sizes.values()):
-        close = min(UNITS, key=lambda name: abs(np.log(UNITS[name] / pose.scale)))
+    sizes = {name: value / pose.scale for name, value in UNITS.items()}
+    fitting = [name for name, size in sizes.items() if _SIZES[0] < size < _SIZES[1]]
+    if not fitting:
+        close = min(sizes, key=lambda name: abs(np.log(sizes[name])))
         raise InputError(
-            f"{scan.name}: wrong unit, a face of {1.0 / pose.scale:.3g} times the head's size in "
-            f"mm; it may be in {close}"
+            f"{scan.name}: no face of a believable size (in {close} it would be "
+            f"{sizes[close]:.2g} times the head); check the scan and its unit"
+        )
+    if unit is not None and unit not in fitting:
+        raise InputError(
+            f"{scan.name}: wrong unit, in {unit} the face would be {sizes[unit]:.3g} times "
+            f"as large as the head; it seems to be in {fitting[0]}"
         )
     return pose
 
