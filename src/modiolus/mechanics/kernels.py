@@ -18,7 +18,7 @@ from numba import njit, prange
 from .laws import Law, Volume
 
 # Numba takes these for compile-time constants.
-ISOCHORIC, PLAIN, GUCCIONE = int(Law.ISOCHORIC), int(Law.PLAIN), int(Law.GUCCIONE)
+PLAIN, GUCCIONE = int(Law.PLAIN), int(Law.GUCCIONE)
 MULTIPLIER, INVERSE = int(Volume.MULTIPLIER), int(Volume.INVERSE)
 
 
@@ -223,11 +223,24 @@ def push(f: Any, s: Any, d: Any, stress: Any, tangent: Any, with_tangent: Any) -
 
 
 @njit(cache=True)
+def cauchy_green(f: Any, cg: Any) -> Any:
+    """Write ``C = Fᵀ F`` into ``cg`` and return ``tr C`` and ``tr C²``."""
+    trace = 0.0
+    square = 0.0
+    for i in range(3):
+        for j in range(3):
+            cg[i, j] = f[0, i] * f[0, j] + f[1, i] * f[1, j] + f[2, i] * f[2, j]
+            square += cg[i, j] * cg[i, j]
+        trace += cg[i, i]
+    return trace, square
+
+
+@njit(cache=True)
 def plain(f: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> Any:
     """Evaluate ``c10 (I1 - 3) + c01 (I2 - 3)``, see `passive`."""
-    cg = np.dot(f.T, f)
-    i1 = cg[0, 0] + cg[1, 1] + cg[2, 2]
-    i2 = 0.5 * (i1 * i1 - (cg * cg).sum())
+    cg = np.empty((3, 3))
+    i1, square = cauchy_green(f, cg)
+    i2 = 0.5 * (i1 * i1 - square)
     s = np.empty((3, 3))
     d = np.empty((3, 3, 3, 3))
     for a in range(3):
@@ -257,12 +270,25 @@ def guccione(f: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> An
     """
     scale, bf, bt, bfs = c[0], c[1], c[2], c[3]
     n = c[4:7]
-    strain = 0.5 * (np.dot(f.T, f) - np.eye(3))
-    along = np.dot(strain, n)
-    a = np.dot(n, along)
+    strain = np.empty((3, 3))
+    cauchy_green(f, strain)
+    along = np.empty(3)
+    a = 0.0
+    b = 0.0
+    square = 0.0
+    for i in range(3):
+        strain[i, i] -= 1.0
+        for j in range(3):
+            strain[i, j] *= 0.5
+            square += strain[i, j] * strain[i, j]
+        along[i] = strain[i, 0] * n[0] + strain[i, 1] * n[1] + strain[i, 2] * n[2]
+        a += n[i] * along[i]
+        b += along[i] * along[i]
     ca, cb = bf + bt - 2.0 * bfs, 2.0 * (bfs - bt)
-    form = ca * a * a + cb * np.dot(along, along) + bt * (strain * strain).sum()
+    form = ca * a * a + cb * b + bt * square
+    factor = 0.5 * scale * np.exp(form)
     first = np.empty((3, 3))
+    s = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             first[i, j] = (
@@ -270,7 +296,7 @@ def guccione(f: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> An
                 + cb * (n[i] * along[j] + along[i] * n[j])
                 + 2.0 * bt * strain[i, j]
             )
-    factor = 0.5 * scale * np.exp(form)
+            s[i, j] = factor * first[i, j]
     d = np.empty((3, 3, 3, 3))
     if with_tangent:
         for i in range(3):
@@ -292,7 +318,7 @@ def guccione(f: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> An
                         if j == m:
                             value += 0.5 * cb * n[i] * n[k]
                         d[i, j, k, m] = factor * value
-    push(f, factor * first, d, stress, tangent, with_tangent)
+    push(f, s, d, stress, tangent, with_tangent)
     return 0.5 * scale * (np.exp(form) - 1.0)
 
 
@@ -313,7 +339,7 @@ def square_acosh(y: Any) -> Any:
 
 
 @njit(cache=True)
-def muscle(f: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> Any:
+def muscle(f: Any, h: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> Any:
     """Evaluate the muscle of Blemker et al. (2005), matrix and fibres in one, see `passive`.
 
     ``G1 B1² + G2 B2² + ψ(λ̄)`` with the shears along and across the fibre ``f``,
@@ -322,9 +348,15 @@ def muscle(f: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: An
     slack, the array of the `FibreLaw` and ``f``.
     """
     n = c[10:13]
-    cg = np.dot(f.T, f)
-    along = np.dot(cg, n)
-    i1, i4, i5 = cg[0, 0] + cg[1, 1] + cg[2, 2], np.dot(n, along), np.dot(along, along)
+    cg = np.empty((3, 3))
+    i1, _ = cauchy_green(f, cg)
+    along = np.empty(3)
+    i4 = 0.0
+    i5 = 0.0
+    for i in range(3):
+        along[i] = cg[i, 0] * n[0] + cg[i, 1] * n[1] + cg[i, 2] * n[2]
+        i4 += n[i] * along[i]
+        i5 += along[i] * along[i]
     root = np.sqrt(i4)
     y = (i1 * i4 - i5) / (2.0 * det * root)
     g0, g1, g2 = square_acosh(y)
@@ -333,29 +365,33 @@ def muscle(f: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: An
     energy = c[0] * (i5 / i4**2 - 1.0) + c[1] * g0 + psi0
 
     # Derivatives by the invariants I1, I4, I5 and J.
-    dy = np.array(
-        [
-            root / (2.0 * det),
-            i1 / (2.0 * det * root) - y / (2.0 * i4),
-            -1.0 / (2.0 * det * root),
-            -y / det,
-        ]
-    )
-    dl = np.array([0.0, stretch / (2.0 * i4), 0.0, -stretch / (3.0 * det)])
-    w = c[1] * g1 * dy + psi1 * dl
+    dy = np.empty(4)
+    dy[0] = root / (2.0 * det)
+    dy[1] = i1 / (2.0 * det * root) - y / (2.0 * i4)
+    dy[2] = -1.0 / (2.0 * det * root)
+    dy[3] = -y / det
+    dl = np.zeros(4)
+    dl[1] = stretch / (2.0 * i4)
+    dl[3] = -stretch / (3.0 * det)
+    w = np.empty(4)
+    for a in range(4):
+        w[a] = c[1] * g1 * dy[a] + psi1 * dl[a]
     w[1] -= 2.0 * c[0] * i5 / i4**3
     w[2] += c[0] / i4**2
-    inverse = np.linalg.inv(cg)
+    inverse = np.empty((3, 3))
     slopes = np.zeros((4, 3, 3))
+    s = np.empty((3, 3))
     for i in range(3):
         slopes[0, i, i] = 1.0
         for j in range(3):
+            product = h[0, i] * h[0, j] + h[1, i] * h[1, j] + h[2, i] * h[2, j]
+            inverse[i, j] = product / det**2
             slopes[1, i, j] = n[i] * n[j]
             slopes[2, i, j] = n[i] * along[j] + along[i] * n[j]
             slopes[3, i, j] = 0.5 * det * inverse[i, j]
-    s = np.zeros((3, 3))
-    for a in range(4):
-        s += 2.0 * w[a] * slopes[a]
+            s[i, j] = 0.0
+            for a in range(4):
+                s[i, j] += 2.0 * w[a] * slopes[a, i, j]
     d = np.zeros((3, 3, 3, 3))
     if with_tangent:
         ddy = np.zeros((4, 4))
@@ -369,15 +405,19 @@ def muscle(f: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: An
         ddl[1, 1] = -stretch / (4.0 * i4**2)
         ddl[1, 3] = -stretch / (6.0 * i4 * det)
         ddl[3, 3] = 4.0 * stretch / (9.0 * det**2)
-        ww = c[1] * g1 * ddy + psi1 * ddl
+        ww = np.empty((4, 4))
+        for a in range(4):
+            for b in range(a, 4):
+                ww[a, b] = (
+                    c[1] * (g1 * ddy[a, b] + g2 * dy[a] * dy[b])
+                    + psi1 * ddl[a, b]
+                    + psi2 * dl[a] * dl[b]
+                )
         ww[1, 1] += 6.0 * c[0] * i5 / i4**4
         ww[1, 2] -= 2.0 * c[0] / i4**3
         for a in range(4):
             for b in range(a):
                 ww[a, b] = ww[b, a]
-        for a in range(4):
-            for b in range(4):
-                ww[a, b] += c[1] * g2 * dy[a] * dy[b] + psi2 * dl[a] * dl[b]
         for i in range(3):
             for j in range(3):
                 for k in range(3):
@@ -460,8 +500,8 @@ def passive(
     ----------
     f : (3, 3) array
         Deformation gradient with ``J > 0``.
-    law : int
-        `laws.Law`.
+    law : int or None
+        `laws.Law`; None stands for `Law.ISOCHORIC`.
     c : (n,) array
         Coefficients of the law.
     volume : int
@@ -482,14 +522,15 @@ def passive(
         As in `volumetric`.
     """
     det = cofactor(f, h)
-    if law == ISOCHORIC:
+    # For None, Numba does not even compile the other laws.
+    if law is None:
         energy = isochoric(f, h, det, c, stress, tangent, with_tangent)
     elif law == PLAIN:
         energy = plain(f, c, stress, tangent, with_tangent)
     elif law == GUCCIONE:
         energy = guccione(f, c, stress, tangent, with_tangent)
     else:
-        energy = muscle(f, det, c, stress, tangent, with_tangent)
+        energy = muscle(f, h, det, c, stress, tangent, with_tangent)
     more, q, slope, excess, share = volumetric(volume, det, kappa, p)
     for i in range(3):
         for k in range(3):

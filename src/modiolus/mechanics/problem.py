@@ -13,7 +13,7 @@ from ..errors import InputError, unknown_name
 from ..hermite import HermiteMesh, basis, gauss
 from . import kernels
 from .assembly import Assembly, Pattern
-from .laws import WIDTHS, Array, Formulation, Volume
+from .laws import WIDTHS, Array, Formulation, Law, Volume
 from .terms import Fibres, Load, PointTerm, by_host
 
 IntArray = NDArray[np.int64]
@@ -278,10 +278,10 @@ class Problem:
             self._gradients[element] = local.reshape(3 * q, 64) @ extraction[element]
         self._psi = np.ascontiguousarray(trilinear(xi)[:, : self.vertices.shape[1]])
         self.weights = weights * volume
+        law = self.formulation.law
+        self._law = None if law == Law.ISOCHORIC else int(law)
         self._coefficients = np.ascontiguousarray(
-            np.broadcast_to(
-                np.asarray(coefficients, dtype=float), (e, q, WIDTHS[self.formulation.law])
-            )
+            np.broadcast_to(np.asarray(coefficients, dtype=float), (e, q, WIDTHS[law]))
         )
 
         patterns = [self.pattern]
@@ -394,7 +394,7 @@ class Problem:
                     self._gradients,
                     self._psi,
                     self.weights,
-                    int(self.formulation.law),
+                    self._law,
                     self._coefficients,
                     int(self.formulation.volume),
                     self.kappa,
