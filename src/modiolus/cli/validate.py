@@ -165,6 +165,7 @@ class _Table:
         self.draft, self.target, self.quiet = draft, target, quiet
         self.problem, self.scene = face_problem(head), FaceScene(head)
         self.rows: list[dict[str, Any]] = []
+        self._states: dict[str, Any] = {}
         self._pictures: list[tuple[str, Path]] = []
 
     def add(self, name: str, scan: Any, alignment: Any, ways: list[str]) -> None:
@@ -214,6 +215,8 @@ class _Table:
             return found, state.parameters, jaw, {"values": values}
         free = muscle_set([name], self.head) if way == "table2" else list(self.head.muscles)
         prior = muscle_set([name], self.head) if name in TABLE_2 else []
+        # All muscles begin where those of the paper have come to.
+        start = self._states.get(name) if way == "all" else None
         result = identify(
             self.problem,
             self.head,
@@ -221,9 +224,11 @@ class _Table:
             skin=self.skin,
             muscles=free,
             prior=prior,
+            start=start,
             neutral=self.neutral,
             report=progress.update,
         )
+        self._states[name] = result.state
         placed = scan.placed(result.pose)
         found = compare(self.skin, result.state.parameters, placed, self.neutral)
         text = expression_toml(f"{name}-{way}", scan.name, result)

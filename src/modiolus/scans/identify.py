@@ -13,7 +13,7 @@ one that is not in the prior set.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -258,9 +258,9 @@ def identify(
     skin: Skin | None = None,
     muscles: Sequence[str] | None = None,
     prior: Sequence[str] = (),
-    start: Mapping[str, float] | None = None,
+    start: State | None = None,
     neutral: Scan | None = None,
-    iterations: int = 25,
+    iterations: int = 15,
     report: Report | None = None,
 ) -> Identification:
     """Find the activations with which a head looks like a scan.
@@ -278,8 +278,9 @@ def identify(
         Those that are free; all by default.
     prior : sequence of str
         Those that are expected; the others cost more. None: all cost the same.
-    start : mapping of str to float, optional
-        Where to begin; at rest by default.
+    start : State, optional
+        Where to begin, such as the frame before or the result for fewer muscles; at rest by
+        default.
     neutral : Scan, optional
         The same person at rest, in the head's frame.
     iterations : int
@@ -298,13 +299,10 @@ def identify(
     scales = np.array([SCALES[head.muscles[name].kind] for name in names])
     cost = np.array([1.0 if not prior or name in prior else OUTSIDER for name in names])
     settings = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2)
-    continuation = Continuation(problem, settings=settings)
-    values = np.array([(start or {}).get(name, 0.0) for name in names])
+    continuation = Continuation(problem, start, settings=settings)
+    values = np.array([continuation.state.load.activations.get(name, 0.0) for name in names])
     pose = Registration(1.0, np.eye(3), np.zeros(3))
     solves = 0
-    if values.any():
-        continuation.run(problem.load(_load(names, values)))
-        solves += 1
     history: list[float] = []
     radius = _FIRST_STEP
     reached = _Point(values, pose, continuation.state, target, scales, cost)
