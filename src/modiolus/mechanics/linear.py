@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 import warnings
 import weakref
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -48,6 +50,9 @@ class Pardiso:
         # Read when MKL's threads start: by default they spin for 0.2 s after every call and
         # take the processor from the element loops.
         os.environ.setdefault("KMP_BLOCKTIME", "0")
+        # Otherwise the binding asks the system's linker and searches the whole environment.
+        for library in sorted(Path(sys.prefix).glob("lib/libmkl_rt*")):
+            os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
         from pypardiso import PyPardisoSolver
 
         self._pardiso = PyPardisoSolver(mtype=-2)
