@@ -26,6 +26,7 @@ from ..mechanics import (
     Problem,
     RigidContact,
     Springs,
+    SurfaceContact,
     Tension,
     Volume,
     clamp,
@@ -33,6 +34,7 @@ from ..mechanics import (
 )
 from ..mechanics.laws import Array
 from .case import Check
+from .contact import blocks
 from .meshes import box
 
 STEP = 1e-5
@@ -101,12 +103,16 @@ def all_round(mesh: HermiteMesh) -> list[PointTerm]:
     ]
 
 
-def differences(problem: Problem, *, quadratic: bool = False) -> tuple[float, float]:
+def differences(
+    problem: Problem, moved: Array | None = None, *, quadratic: bool = False
+) -> tuple[float, float]:
     """Compare the residual and the tangent with central differences at a random state.
 
     Parameters
     ----------
     problem : Problem
+    moved : (n_params, 3) array, optional
+        Displacement of the parameters in mm; random and squeezed by default.
     quadratic : bool
         Compare only ``d · K d``, which a symmetric part of the tangent shares.
 
@@ -117,10 +123,10 @@ def differences(problem: Problem, *, quadratic: bool = False) -> tuple[float, fl
     """
     rng = np.random.default_rng(6)
     rest = problem.rest()
-    moved = rng.uniform(-0.4, 0.4, rest.parameters.shape)
-    # Squeezed in direction 1, so that the facing surfaces overlap.
-    moved[:, 1] -= 0.25 * rest.parameters[:, 1]
-    moved[problem.fixed] = 0.0
+    if moved is None:
+        moved = rng.uniform(-0.4, 0.4, rest.parameters.shape)
+        moved[:, 1] -= 0.25 * rest.parameters[:, 1]
+        moved[problem.fixed] = 0.0
     rest.parameters[:] += moved
     rest.pressure[:] = rng.uniform(-3.0, 3.0, rest.pressure.shape)
     found = problem.evaluate(rest.parameters, rest.pressure, LOAD, tangent=True)
@@ -171,6 +177,7 @@ def finite_differences(fine: bool) -> list[Check]:
     }
     for name, term in terms(mesh).items():
         found[name] = differences(soft(mesh, [term], fixed))
+    found["surface contact"] = surfaces()
     # Only a closed surface's pressure has an energy; an open one's stiffness is symmetrised.
     free = np.zeros_like(fixed)
     found["follower pressure, all round"] = differences(soft(mesh, all_round(mesh), free))
@@ -181,6 +188,20 @@ def finite_differences(fine: bool) -> list[Check]:
         for kind, error in zip(("residual", "tangent"), errors, strict=True)
     ]
     return [*checks, Check("follower pressure, one side: symmetric part", 0.0, part, 1e-6)]
+
+
+def surfaces() -> tuple[float, float]:
+    """Compare the contact of two bent blocks, the lower one pushed 0.3 mm into the upper."""
+    mesh, upper, lower = blocks(
+        [np.linspace(0.0, 20.0, 3), np.linspace(0.0, 16.0, 4), np.array([-6.0, 0.0])],
+        [np.linspace(0.0, 20.0, 4), np.linspace(0.0, 16.0, 3), np.array([0.0, 6.0])],
+    )
+    contact = SurfaceContact(mesh, upper, lower)
+    problem = soft(mesh, [contact], np.zeros((mesh.n_params, 3), dtype=bool))
+    moved = np.random.default_rng(9).uniform(-0.3, 0.3, mesh.parameters.shape)
+    # The parameters of the lower block come first: 3 x 4 x 2 nodes.
+    moved[: 8 * 24 : 8, 2] += 0.3
+    return differences(problem, moved)
 
 
 def soft(mesh: HermiteMesh, chosen: Sequence[PointTerm], fixed: NDArray[np.bool_]) -> Problem:
