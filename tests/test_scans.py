@@ -406,7 +406,7 @@ def test_certainty_names_muscles_that_do_the_same():
         feet, np.zeros((n, 3)), 0.3 * np.ones(n), 50.0 * rng.random((n, 3)), np.full(n, 1.0 / n)
     )
     point = _Point.__new__(_Point)
-    point.matches, point.rms = matches, 0.3
+    point.matches, point.rms, point.pose_cost = matches, 0.3, 0.1
     deviations, pairs = _certainty(matrix, point, ["a", "b", "c"])
     assert [set(pair[:2]) for pair in pairs] == [{"a", "c"}] and pairs[0][2] < -0.99
     assert deviations["a"] > 10.0 * deviations["b"]

@@ -69,8 +69,9 @@ _FIRST_STEP, _LARGEST_STEP = 0.35, 0.6
 #: The iterations end when no activation changes by more than this (of its scale), or the error
 #: falls by less than this share.
 _SMALL_STEP, _SMALL_GAIN = 0.01, 2e-3
-#: The pose may give way by about this much (mm) to fit better.
-_POSE_GIVES = 0.3
+#: Cost (mm²) of moving the face by a millimetre off the pose that it was given, and the same where
+#: that pose came from a neutral scan. Were it free, it would take over motion of the skin.
+_POSE_COST, _KNOWN_POSE_COST = 0.1, 1.0
 #: Two muscles whose estimates correlate more than this can hardly be told apart.
 _CORRELATED = 0.8
 #: An activation that is known no better than this (of its scale) is not identifiable.
@@ -163,6 +164,7 @@ class _Target:
         surface = skin.surface(rest)
         samples = surface.samples(np.sqrt(surface.area / _POINTS))
         self.own = skin.state(rest).feet(samples)
+        self.known_pose = neutral is not None
         self._shape = None if neutral is None else self._shape_of(neutral)
 
     def _shape_of(self, neutral: Scan) -> tuple[cKDTree, Array]:
@@ -380,11 +382,16 @@ class _Point:
         mean = float((self.matches.weight * self.matches.residual**2).sum())
         shares = values / scales
         self.mean, self.rms = mean, float(np.sqrt(mean))
+        # The same six coordinates as those of a step: turns about the middle, and shifts.
+        turn = Rotation.from_matrix(pose.rotation).as_rotvec()
+        shift = pose.apply(target.middle) - target.middle
+        self.moved = np.concatenate([turn, shift]) / _pose_scales(self.matches)
+        self.pose_cost = _KNOWN_POSE_COST if target.known_pose else _POSE_COST
         self._regular = float(ALPHA * (cost * shares).sum() + BETA * (shares**2).sum())
 
     def energy(self, mean: float) -> float:
         """Return what is minimised, with the regularisation weighed by a mean square."""
-        return self.mean + mean * self._regular
+        return self.mean + mean * self._regular + self.pose_cost * float((self.moved**2).sum())
 
 
 def _load(names: Sequence[str], values: Array) -> dict[str, float]:
@@ -426,8 +433,8 @@ def _step(
     shares = point.values / scales
     hessian[np.arange(k), np.arange(k)] += BETA * point.mean
     slope[:k] += point.mean * (0.5 * ALPHA * cost + BETA * shares)
-    # A pose that gives way by its allowance costs as much as a tenth of that in distance.
-    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += 0.01 / _POSE_GIVES**2
+    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.pose_cost
+    slope[k:] += point.pose_cost * point.moved
     hessian[np.arange(k + 6), np.arange(k + 6)] += 1e-9
     root = np.linalg.cholesky(hessian)
     low = np.concatenate([np.maximum(-shares, -radius), np.full(6, -2.0)])
@@ -458,7 +465,7 @@ def _certainty(
     units = np.concatenate([np.ones(k), _pose_scales(matches)])
     scaled = matrix * units
     hessian = scaled.T @ (matches.weight[:, None] * scaled)
-    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += 0.01 / _POSE_GIVES**2
+    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.pose_cost
     hessian += 1e-12 * np.trace(hessian) * np.eye(k + 6)
     places = np.round(matches.feet.points / _CORRELATION_LENGTH).astype(np.int64)
     independent = max(len(np.unique(places, axis=0)) - k - 6, 1)
