@@ -31,6 +31,8 @@ _TURN = 25.0
 _FAR = 12.0
 #: Poses of the search that are refined.
 _BEST = 6
+#: Height (mm) of the crown above the highest part of a face's skin.
+_CROWN = 30.0
 #: Closest points within this share of the mean edge from a free edge are no matches.
 _RIM = 0.75
 #: Width of Tukey's weights in robust standard deviations, and their least width (mm).
@@ -371,11 +373,11 @@ def _search(moving: Matcher, fixed: Matcher, scaled: bool) -> list[Registration]
         (sign * normals, cKDTree(np.hstack([points, 0.5 * _TURN * sign * normals])))
         for sign in (1.0, -1.0)
     ]
-    centred = places.mean(axis=0)
     poses = [
-        (0.0, side, Registration(1.0, turn, centred - turn @ points.mean(axis=0)))
+        (0.0, side, Registration(1.0, turn, shift))
         for side in (0, 1)
         for turn in rotations.as_matrix()
+        for shift in _shifts(points @ turn.T, places)
     ]
     # All of them for a few steps, then the better ones to the end.
     for steps, survivors in ((np.linspace(0.9, 0.7, 8), 40), (np.linspace(0.7, 0.5, 20), 40)):
@@ -400,6 +402,17 @@ def _search(moving: Matcher, fixed: Matcher, scaled: bool) -> list[Registration]
     return [
         Registration(pose.scale * unit, pose.rotation, pose.translation, unit=unit) for pose in best
     ]
+
+
+def _shifts(points: Array, places: Array) -> tuple[Array, Array]:
+    """Return two shifts of turned samples: centre upon centre, and top and front aligned.
+
+    The second is for scans of a whole head, or of more, whose centre is not that of the face.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    front = np.array([0.5 * (low[0] + high[0]), low[1], high[2] - _CROWN])
+    there = np.array([places[:, 0].mean(), places[:, 1].min(), places[:, 2].max()])
+    return places.mean(axis=0) - points.mean(axis=0), there - front
 
 
 _Samples = tuple[Array, Array, cKDTree]
