@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw
 from ..face.tissue import Side
+from ..hermite import HermiteMesh
 from .constraints import clamp, symmetry_plane
 from .contact import RigidContact, SurfaceContact, face_points
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
@@ -34,6 +35,8 @@ class FaceSettings:
         Volumetric stiffness beside the pressure (kPa).
     modiolus : float
         c10 of the modiolus (kPa).
+    skin : float
+        c10 that the skin adds to the tissue under it (kPa), see `skin_share`.
     contact : float
         Penalty of all contacts (kPa/mm).
     slide : float
@@ -46,11 +49,14 @@ class FaceSettings:
     sigma_max: float = 300.0
     kappa: float = 80.0
     modiolus: float = 30.0
+    skin: float = 5.0
     contact: float = 250.0
     slide: float = 0.05
     reach: float = 2.0
 
 
+#: Thickness of the skin (mm): its dermis has 0.8 to 2.0 mm in the face.
+DERMIS = 1.5
 #: Deep structures that the tissue keeps to when it is pulled away: bone under thin tissue.
 SLIDING = ("skull", "mandible")
 #: Teeth and gums touch the tissue as one arch each, whose cusps and clefts are rounded (mm):
@@ -81,6 +87,7 @@ def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
     settings = FaceSettings() if settings is None else settings
     mesh = head.tissue
     coefficients = mix(head.fraction, MUSCLE[settings.muscle], FAT)
+    coefficients[..., 0] += settings.skin * skin_share(mesh)
     knot = head.firmness[..., None]
     coefficients = (1.0 - knot) * coefficients + knot * np.array([settings.modiolus, 0.0, 0.0])
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
@@ -91,6 +98,18 @@ def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
     terms: list[PointTerm] = [fibres(head, settings), *_springs(head)]
     terms += [*_deep_contacts(head, settings), *_slit_contacts(head, settings)]
     return Problem(mesh, coefficients, kappa=settings.kappa, terms=terms, fixed=fixed)
+
+
+def skin_share(mesh: HermiteMesh) -> Array:
+    """Return the share of skin at the Gauss points, (n_elements, 64).
+
+    It fades around the depth of `DERMIS` below the outer surface.
+    """
+    elements, xi = Problem.gauss_points(mesh)
+    above = xi.copy()
+    above[:, 2] = 1.0
+    depth = np.linalg.norm(mesh.evaluate(elements, above) - mesh.evaluate(elements, xi), axis=1)
+    return np.asarray(np.clip(1.5 - depth / DERMIS, 0.0, 1.0).reshape(mesh.n_elements, -1))
 
 
 def cuts(head: Head) -> Iterator[tuple[str, Side]]:
