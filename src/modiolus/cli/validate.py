@@ -85,7 +85,8 @@ def validate(
     for name in wanted:
         if name not in files:
             raise unknown_name("expression", name, files)
-    scans = {name: read_scan(path) for name, path in files.items() if not wanted or name in wanted}
+    order = sorted(files, key=lambda name: [*PAPER, name].index(name))
+    scans = {name: read_scan(files[name]) for name in order if not wanted or name in wanted}
     if not scans:
         raise InputError(f"{folder}: only the neutral surface; add one for every expression")
     target = out / f"validate-{folder.resolve().name}"
