@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from modiolus import hermite
-from modiolus.mechanics import Load, Problem, SurfaceContact
+from modiolus.mechanics import Continuation, Load, Problem, Settings, SurfaceContact
 
 
 def block(counts, low, high):
@@ -102,3 +102,26 @@ def test_far_surfaces_cost_nothing_and_do_not_meet():
     moved[upper_part(mesh, upper)[::8]] += [0.0, 0.0, 30.0]
     functions, _ = contact.follow(moved)
     assert len(functions) == 0
+
+
+def test_augmentation_takes_the_overlap_away():
+    mesh, upper, lower = stacked(0.0, (1, 1, 1), (1, 1, 1))
+    contact = SurfaceContact(mesh, upper, lower, stiffness=20.0)
+    values = mesh.parameters[:, 2].copy()
+    fixed = np.zeros((mesh.n_params, 3), dtype=bool)
+    fixed[np.abs(values + 6.0) < 1e-9] = True
+    top = np.abs(values - 6.0) < 1e-9
+    fixed[top] = True
+    prescribed = np.zeros(mesh.parameters.shape)
+    prescribed[top, 2] = -1.0
+    problem = Problem(mesh, [5.0, 0.0, 0.0], terms=[contact], fixed=fixed)
+    load = Load(prescribed=prescribed)
+    soft = Continuation(problem, settings=Settings(augmentations=0)).run(load)
+    held = Continuation(problem, settings=Settings(penetration=0.02)).run(load)
+    assert soft.statistics.max_penetration_mm > 0.05
+    assert held.statistics.max_penetration_mm < 0.02
+    # Bodies that cannot overlap press harder, and not by much.
+    forces = [contact.pressure(s.parameters, s.load)[1] @ contact.areas for s in (soft, held)]
+    assert 1.0 < forces[1] / forces[0] < 1.2
+    # They fade on the way to another load.
+    assert held.load.towards(Load(), 1.0).offsets == {}

@@ -115,7 +115,8 @@ class RigidContact(PointTerm):
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate the penalty; the stiffness holds the curvature of the body's surface."""
         distance, gradient, hessian = self.sample(vectors, load)
-        energies, slope, bend = penalty(self.least - distance, self.onset)
+        depth = self.least - distance + load.offsets.get(self.name, 0.0)
+        energies, slope, bend = penalty(depth, self.onset)
         moved = distance - self.rest
         energies = self.stiffness * energies + 0.5 * self.slide_stiffness * moved**2
         slope = -self.stiffness * slope + self.slide_stiffness * moved
@@ -128,6 +129,11 @@ class RigidContact(PointTerm):
             axis=1,
         )
         return Response(energies, slope[:, None] * gradient, stiffness)
+
+    def augmented(self, parameters: Array, load: Load) -> Array:
+        """Return the offsets that would keep the present forces without overlap, (n,)."""
+        distance, _, _ = self.sample(np.asarray(self.functions @ parameters), load)
+        return np.maximum(self.least - distance + load.offsets.get(self.name, 0.0), 0.0)
 
     def depth(self, vectors: Array, load: Load) -> Array:
         """Return how much deeper than at rest the points are below the surface in mm, (n,)."""
@@ -234,7 +240,10 @@ class SurfaceContact(PointTerm):
         normal = self._facing.master.sign * np.cross(tangents[:, 0], tangents[:, 1])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         gap = (w * normal).sum(axis=1)
-        energies, slope, bend = (stiffness * part for part in penalty(least - gap, self.onset))
+        depth = least - gap
+        if self.name in load.offsets:
+            depth += load.offsets[self.name][self._order]
+        energies, slope, bend = (stiffness * part for part in penalty(depth, self.onset))
         forces = np.zeros((n_points, 6, 3))
         forces[:, 0] = -slope[:, None] * normal
         # By the vector and its component: (n, 3, 3, 3, 3) for the first three vectors.
@@ -252,11 +261,15 @@ class SurfaceContact(PointTerm):
         pairs = [second[:, :, i, :, j] for i, j in PAIRS]
         return Response(energies, forces, np.stack(pairs, axis=1))
 
-    def pressure(self, parameters: Array) -> tuple[Array, Array]:
-        """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
+    def augmented(self, parameters: Array, load: Load) -> Array:
+        """Return the offsets that would keep the present forces without overlap, (n,)."""
         found = self._facing.project(parameters)
-        depth = np.where(found.host >= 0, self._facing.least - found.gap, 0.0)
-        slope = penalty(depth, self.onset)[1]
+        depth = self._facing.least - found.gap + load.offsets.get(self.name, 0.0)
+        return np.where(found.host >= 0, np.maximum(depth, 0.0), 0.0)
+
+    def pressure(self, parameters: Array, load: Load) -> tuple[Array, Array]:
+        """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
+        slope = penalty(self.augmented(parameters, load), self.onset)[1]
         return self._facing.points(parameters), self.stiffness * slope / self.areas
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:

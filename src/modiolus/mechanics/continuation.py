@@ -43,6 +43,10 @@ class Settings:
         Factorisations in one step before it is rejected.
     least_ratio : float
         Smallest volume ratio at a Gauss point that a trial may have.
+    penetration : float
+        Overlap in mm of contacts from which their forces are augmented at the end.
+    augmentations : int
+        How often at most.
     near : float
         Correction in mm, root mean square, below which the tangent is the exact one; above,
         it leaves out what can make contacts and fibres unstable.
@@ -55,6 +59,8 @@ class Settings:
     max_steps: int = 80
     max_iterations: int = 18
     least_ratio: float = 0.05
+    penetration: float = 0.04
+    augmentations: int = 4
     near: float = 1e-3
 
 
@@ -145,20 +151,34 @@ class Continuation:
             work = self._factorisations - before
             step = (target - reached) * float(np.clip(8.0 / work, 0.7, 2.5))
             reached = target
-            statistics = replace(
-                state.statistics,
-                steps=steps,
-                newton_iterations=self._iterations,
-                factorisations=self._factorisations,
-                solve_s=time.perf_counter() - began,
-            )
-            self.state = replace(state, statistics=statistics)
+            self._keep(state, steps, began)
             if self.report is not None:
+                statistics = self.state.statistics
                 self.report(
                     reached,
                     f"load {reached:.0%}, J {statistics.J_min:.2f} to {statistics.J_max:.2f}",
                 )
+        for _ in range(settings.augmentations):
+            if self.state.statistics.max_penetration_mm <= settings.penetration:
+                break
+            pressed = self.problem.augment(self.state.parameters, self.state.load)
+            try:
+                self._keep(self._advance(pressed, settings.tolerance), steps, began)
+            except _Rejected:
+                # The overlap of the penalty remains, and is told.
+                self._fresh = False
+                break
         return self.state
+
+    def _keep(self, state: State, steps: int, began: float) -> None:
+        statistics = replace(
+            state.statistics,
+            steps=steps,
+            newton_iterations=self._iterations,
+            factorisations=self._factorisations,
+            solve_s=time.perf_counter() - began,
+        )
+        self.state = replace(state, statistics=statistics)
 
     def sensitivities(self, muscles: Sequence[str]) -> Array:
         """Return the derivatives of the present state's parameters by activations.

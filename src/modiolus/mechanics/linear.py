@@ -110,6 +110,11 @@ class Pardiso:
             raise SolveError(f"linear solver: PARDISO phase {phase} failed; error {error.value}")
         return out
 
+    @property
+    def size(self) -> tuple[int, float]:
+        """Entries of the last factor and the operations that it took in 1e9."""
+        return int(self._pardiso.get_iparm(18)), self._pardiso.get_iparm(19) / 1e3
+
     def factorise(self, upper: sp.csr_matrix) -> None:
         """Factorise a symmetric matrix from its upper triangle (with a full diagonal)."""
         nothing = np.zeros((upper.shape[0], 1), order="F")

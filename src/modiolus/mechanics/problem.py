@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from copy import copy
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -465,6 +466,17 @@ class Problem:
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest interpenetration of any contact in mm."""
         return max((term.penetration(parameters, load) for term in self.terms), default=0.0)
+
+    def without_terms(self) -> Problem:
+        """Return the problem of the passive tissue alone; it shares all arrays with this one."""
+        bare = copy(self)
+        bare.terms, bare._batches = (), []
+        return bare
+
+    def augment(self, parameters: Array, load: Load) -> Load:
+        """Return the load whose contacts keep their forces without overlap (Uzawa's step)."""
+        offsets = {term.name: term.augmented(parameters, load) for term in self.terms}
+        return replace(load, offsets={k: v for k, v in offsets.items() if v is not None})
 
     def check(self, parameters: Array, load: Load, volume_ratio: Array) -> Statistics:
         """Return the figures that describe a state rather than the way to it."""

@@ -41,12 +41,16 @@ class Load:
     forces : mapping of str to float
         Factor of each `DeadForces`, `FollowerPressure` and `Tension` by its name; 0 for those
         not named.
+    offsets : mapping of str to (n,) array
+        Depth in mm by which the points of a contact are pressed beyond the penalty's: the
+        multipliers of the augmented penalty, which `Continuation` finds.
     """
 
     activations: Mapping[str, float] = field(default_factory=dict)
     prescribed: Array | None = None
     jaw: float = 0.0
     forces: Mapping[str, float] = field(default_factory=dict)
+    offsets: Mapping[str, Array] = field(default_factory=dict)
 
     def towards(self, target: Load, fraction: float) -> Load:
         """Return the load a fraction of the way to ``target``."""
@@ -60,6 +64,14 @@ class Load:
             prescribed,
             (1.0 - fraction) * self.jaw + fraction * target.jaw,
             _between(self.forces, target.forces, fraction),
+            {
+                name: np.asarray(
+                    (1.0 - fraction) * self.offsets.get(name, 0.0)
+                    + fraction * target.offsets.get(name, 0.0)
+                )
+                for name in sorted({*self.offsets, *target.offsets})
+                if fraction < 1.0 or name in target.offsets
+            },
         )
 
 
@@ -145,6 +157,10 @@ class PointTerm(ABC):
 
     def update(self, parameters: Array) -> None:  # noqa: B027
         """Refresh what is kept fixed within a load step from converged parameters."""
+
+    def augmented(self, parameters: Array, load: Load) -> Array | None:
+        """Return the `Load.offsets` that would keep the present forces without overlap."""
+        return None
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest depth of interpenetration in mm (0 where it has no meaning)."""

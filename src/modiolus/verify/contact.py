@@ -65,7 +65,7 @@ def even_pressure(fine: bool) -> list[Check]:
     problem = Problem(mesh, [STIFFNESS, 0.0, 0.0], terms=[contact], fixed=fixed)
     settings = Settings(tolerance=1e-11, first_step=0.5, near=1.0)
     state = solve(problem, Load(prescribed=prescribed), settings=settings)
-    _, pressure = contact.pressure(state.parameters)
+    _, pressure = contact.pressure(state.parameters, state.load)
     gradient = state.deformation_gradient(*Problem.gauss_points(mesh))
     stretch = gradient[:, 2, 2].mean()
     # The pressure is given by the area at rest.
@@ -150,7 +150,7 @@ def _pressed(splits: int) -> tuple[Array, Array, float]:
     problem = Problem(bent, [STIFFNESS, 0.0, 0.0], terms=[contact], fixed=fixed)
     settings = Settings(tolerance=1e-8, first_step=0.25, near=1.0)
     state = solve(problem, Load(prescribed=prescribed), settings=settings)
-    places, pressure = contact.pressure(state.parameters)
+    places, pressure = contact.pressure(state.parameters, state.load)
     # One half of it is there.
     return places[:, 0], pressure, 2.0 * float(pressure @ contact.areas)
 
