@@ -179,7 +179,7 @@ def plane_mask(
     return held
 
 
-def _samples(mesh: HermiteMesh, count: int = 5) -> tuple[NDArray[np.int64], Array]:
+def _samples(mesh: HermiteMesh, count: int = 4) -> tuple[NDArray[np.int64], Array]:
     """Return points spread over all elements of a volume mesh, their borders included."""
     ticks = np.linspace(0.0, 1.0, count)
     cell = np.stack(np.meshgrid(*[ticks] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
