@@ -72,6 +72,8 @@ _SMALL_STEP, _SMALL_GAIN = 0.01, 2e-3
 #: Cost (mm²) of moving the face by a millimetre off the pose that it was given, and the same where
 #: that pose came from a neutral scan. Were it free, it would take over motion of the skin.
 _POSE_COST, _KNOWN_POSE_COST = 0.1, 1.0
+#: Nearer than this (mm) a distance has no direction but the normal.
+_TOUCHING = 0.05
 #: Two muscles whose estimates correlate more than this can hardly be told apart.
 _CORRELATED = 0.8
 #: An activation that is known no better than this (of its scale) is not identifiable.
@@ -195,7 +197,8 @@ class _Target:
         feet = skin.state(parameters).feet(points, self.normals @ pose.rotation.T)
         seen = feet.covered
         first = Feet(*(getattr(feet, name)[seen] for name in feet.__dataclass_fields__))
-        gap = ((points[seen] - first.points) * first.normals).sum(axis=1) - self.shape_at(first)
+        gap, along = _distances(points[seen] - first.points, first.normals)
+        gap -= self.shape_at(first)
 
         # The other way: material points of the skin that have a counterpart on the scan.
         places = skin.places(self.own, parameters)
@@ -205,7 +208,8 @@ class _Target:
         good = ~rim & (np.linalg.norm(near - places, axis=1) < 20.0)
         good &= (outward * facing).sum(axis=1) > 0.5
         second = Feet(*(getattr(self.own, name)[good] for name in feet.__dataclass_fields__))
-        other = ((near - places) * outward)[good].sum(axis=1) - self.shape_at(second)
+        other, across = _distances((near - places)[good], outward[good])
+        other -= self.shape_at(second)
 
         joined = Feet(
             *(
@@ -221,11 +225,25 @@ class _Target:
         )
         return _Matches(
             joined,
-            np.concatenate([first.normals, outward[good]]),
+            np.concatenate([along, across]),
             np.concatenate([gap, other]),
             np.concatenate([points[seen], near[good]]) - pose.apply(self.middle),
             weight,
         )
+
+
+def _distances(gaps: Array, normals: Array) -> tuple[Array, Array]:
+    """Return signed distances (n,) and their directions (n, 3) from differences (n, 3).
+
+    That is along the normal but at edges, such as that of a lip: there the closest point is the
+    same for all that lies beyond, and only the direction to it tells how to come nearer.
+    """
+    length = np.linalg.norm(gaps, axis=1)
+    sign = np.where((gaps * normals).sum(axis=1) < 0.0, -1.0, 1.0)
+    near = length < _TOUCHING
+    direction = gaps * (sign / np.maximum(length, _TOUCHING))[:, None]
+    along = np.where(near[:, None], normals, direction)
+    return np.where(near, (gaps * normals).sum(axis=1), sign * length), along
 
 
 def muscle_set(names: Sequence[str], head: Head) -> list[str]:
