@@ -94,6 +94,21 @@ def test_force_follows_a_point_that_slides_over_the_border_of_an_element():
             assert contact.penetration(moved) == pytest.approx(0.4)
 
 
+def test_points_that_slide_out_are_let_go():
+    mesh, upper, lower = stacked(0.0, (1, 1, 1), (1, 1, 1))
+    contact = SurfaceContact(mesh, upper, lower, stiffness=20.0, onset=0.0)
+    problem = Problem(mesh, [2.0, 0.0, 0.0], terms=[contact])
+    energies = []
+    for slide in (0.0, 8.0, 19.0):
+        moved = mesh.parameters.copy()
+        moved[upper_part(mesh, upper)[::8]] += [slide, 0.0, -0.4]
+        problem.update(moved)
+        pressure = np.zeros(len(problem.assembly.pressure_equations))
+        energies.append(problem.evaluate(moved, pressure, Load()).energies["surface contact"])
+    assert energies[0] == pytest.approx(0.5 * 20 * 0.4**2 * 15 * 14)
+    assert energies[0] > energies[1] > energies[2] > 0.0
+
+
 def test_far_surfaces_cost_nothing_and_do_not_meet():
     mesh, upper, lower = stacked(3.0)
     contact = SurfaceContact(mesh, upper, lower)

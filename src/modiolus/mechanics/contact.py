@@ -20,6 +20,10 @@ from .terms import IntArray, Load, PointTerm, Response, by_host
 Side = tuple[IntArray, int, int]
 
 
+#: Widths of a patch beyond the master's border at which a point is let go.
+FADE = 0.5
+
+
 class SignedDistance(Protocol):
     """Anything that knows the signed distance of points, such as a `DistanceGrid`."""
 
@@ -204,6 +208,7 @@ class SurfaceContact(PointTerm):
         self._facing = Facing(first, second, points[0], points[1])
         self._pairs = Pairs(self._facing)
         self._order = np.empty(0, dtype=np.int64)
+        self._hold = np.ones(len(self.areas))
         ticks = np.linspace(0.0, 1.0, 7)
         cell = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2)
         self._checks = [
@@ -220,6 +225,16 @@ class SurfaceContact(PointTerm):
         """Return the pattern of the pairs of patches that may meet."""
         return self._pairs.pattern
 
+    def update(self, parameters: Array) -> None:
+        """Let points that have slid out over the master's border go.
+
+        Their share of the stiffness falls to none at `FADE`. It stands still within a load step:
+        beyond the border the master is only its tangent plane, on which lips would turn each other.
+        """
+        found = self._facing.project(parameters)
+        outside = np.where(found.host >= 0, found.outside, 0.0)
+        self._hold = np.maximum(1.0 - outside / FADE, 0.0)
+
     def follow(self, parameters: Array) -> tuple[Array, IntArray]:
         """Project the points anew and return their functionals."""
         found = self._facing.project(parameters)
@@ -235,7 +250,8 @@ class SurfaceContact(PointTerm):
         ``Δδg = -b·Δξ - Δb·δξ - δξ·κΔξ + g (b + κδξ)·a⁻¹(Δb + κΔξ)`` with ``b = n · δτ``.
         """
         n_points = len(vectors)
-        stiffness, least = self.stiffness[self._order], self._facing.least[self._order]
+        stiffness = (self._hold * self.stiffness)[self._order]
+        least = self._facing.least[self._order]
         w, tangents = vectors[:, 0], vectors[:, 1:3]
         normal = self._facing.master.sign * np.cross(tangents[:, 0], tangents[:, 1])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -270,7 +286,7 @@ class SurfaceContact(PointTerm):
     def pressure(self, parameters: Array, load: Load) -> tuple[Array, Array]:
         """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
         slope = penalty(self.augmented(parameters, load), self.onset)[1]
-        return self._facing.points(parameters), self.stiffness * slope / self.areas
+        return self._facing.points(parameters), self._hold * self.stiffness * slope / self.areas
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest overlap beyond that at rest in mm, of either surface.
