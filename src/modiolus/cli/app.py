@@ -67,6 +67,7 @@ def _modiolus(
 # Each module adds its command to `app`; here at the end, because they need it.
 from modiolus.cli import (  # noqa: E402, F401
     beam,
+    bench,
     catalogue,
     compare,
     heads,

@@ -1,0 +1,123 @@
+"""``modiolus bench``: how long everything takes, and where the time goes."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import time
+from typing import Annotated, Any
+
+import typer
+
+from modiolus.cli.app import HeadName, Json, Quiet, app, show
+from modiolus.progress import Progress
+
+#: Change of every activation that a warm start has to follow.
+WARM = 0.9
+
+
+@app.command(epilog="Example: modiolus bench smile-closed --json")
+def bench(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[EXPRESSION]...", help="All shipped expressions by default."),
+    ] = None,
+    head: HeadName = "taro",
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure imports, set-up, the parts of an iteration and whole expressions.
+
+    An expression is solved cold, from rest, and warm, from there to 0.9 times its activations.
+    """
+    from modiolus.face.expression import Expression, expression_names, resolve
+
+    chosen = [Expression.named(name) for name in names or expression_names()]
+    record: dict[str, Any] = {"machine": _machine(), "seconds": {}, "expressions": {}}
+    seconds = record["seconds"]
+    with Progress("measuring", total=len(chosen) + 2, quiet=quiet) as progress:
+        progress.update(0, "imports")
+        seconds["import modiolus"] = _fresh("import modiolus")
+        seconds["import of the mechanics"] = _fresh("import modiolus.mechanics.face")
+        from modiolus.face.head import Head
+        from modiolus.mechanics import Continuation
+        from modiolus.mechanics.face import face_problem
+        from modiolus.mechanics.timing import least, parts
+
+        progress.update(1, "set-up")
+        model = Head.load(head)
+        seconds["reading the head"] = least(lambda: Head.load(head), 2)
+        began = time.perf_counter()
+        problem = face_problem(model)
+        seconds["first set-up"] = time.perf_counter() - began
+        seconds["set-up"] = least(lambda: face_problem(model), 2)
+        record["points"] = {"fibres": 0, "contact": 0}
+        for term in problem.terms:
+            for kind in record["points"]:
+                record["points"][kind] += len(term.hosts) * (kind in term.name)
+        for done, expression in enumerate(chosen):
+            progress.update(2 + done, expression.name)
+            activations = resolve(expression.activations, model.muscles)
+            path = Continuation(problem)
+            cold = path.run(problem.load(activations))
+            warm = path.run(problem.load({k: WARM * v for k, v in activations.items()}))
+            record["expressions"][expression.name] = {
+                "cold_s": cold.statistics.solve_s,
+                "iterations": cold.statistics.newton_iterations,
+                "factorisations": cold.statistics.factorisations,
+                "warm_s": warm.statistics.solve_s,
+                "warm_iterations": warm.statistics.newton_iterations,
+                "warm_factorisations": warm.statistics.factorisations,
+                "max_penetration_mm": cold.statistics.max_penetration_mm,
+            }
+            if not done:
+                record["parts"] = parts(problem, cold.parameters, cold.pressure, cold.load)
+        progress.update(2 + len(chosen), "done")
+    # Not everywhere, and this file is read by every command.
+    import resource
+
+    record["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    show(record, _text(record), as_json, quiet)
+
+
+def _fresh(statement: str) -> float:
+    """Return the wall time of a statement in a new interpreter, without the interpreter's."""
+    code = f"import time; t = time.perf_counter(); {statement}; print(time.perf_counter() - t)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return float(done.stdout)
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "system": platform.system(),
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "load": os.getloadavg()[0],
+        "python": platform.python_version(),
+    }
+
+
+def _text(record: dict[str, Any]) -> str:
+    """Lay the figures out for reading."""
+    lines = [f"{name:32s}{value:9.3f} s" for name, value in record["seconds"].items()]
+    lines.append("")
+    for name, value in record["parts"].items():
+        unit, number = ("", f"{value:9.0f}") if value > 100 else (" s", f"{value:9.4f}")
+        if name == "factor_gflop":
+            unit = " Gflop"
+        lines.append(f"{name:32s}{number}{unit}")
+    lines += ["", f"{'expression':20s}{'cold':>8s}{'its':>6s}{'fac':>5s}{'warm':>8s}{'its':>6s}"]
+    for name, row in record["expressions"].items():
+        lines.append(
+            f"{name:20s}{row['cold_s']:7.2f}s{row['iterations']:6d}{row['factorisations']:5d}"
+            f"{row['warm_s']:7.2f}s{row['warm_iterations']:6d}"
+        )
+    machine = record["machine"]
+    lines += [
+        "",
+        f"{record['memory_mb']:.0f} MB at most; {machine['cores']} cores, load "
+        f"{machine['load']:.1f} at the start",
+    ]
+    return "\n".join(lines)
