@@ -11,7 +11,7 @@ from modiolus.face.expression import Expression, resolve
 from modiolus.face.head import Head
 from modiolus.face.muscles import MUSCLES
 from modiolus.mechanics import Continuation
-from modiolus.mechanics.face import face_problem
+from modiolus.mechanics.face import face_load, face_problem
 
 #: Which way a landmark of the left half goes when a muscle contracts alone: +x lateral,
 #: +y backwards, +z up. Actions as in Standring (ed.), Gray's Anatomy, 42nd edition, chapter
@@ -78,20 +78,22 @@ def head():
 
 @pytest.fixture(scope="module")
 def solve(head):
-    """Solve for activations, each set once."""
+    """Solve for activations and an open jaw (radians), each once."""
     problem, known = face_problem(head), {}
 
-    def state(activations):
-        key = tuple(sorted(activations.items()))
+    def state(activations, jaw=0.0):
+        key = (*sorted(activations.items()), jaw)
         if key not in known:
-            known[key] = Continuation(problem).run(problem.load(activations))
+            known[key] = Continuation(problem).run(face_load(problem, head, activations, jaw))
         return known[key]
 
     return state
 
 
 def expression(head, name):
-    return resolve(Expression.shipped(name).activations, head.muscles)
+    """Activations and jaw of a shipped expression."""
+    shipped = Expression.shipped(name)
+    return resolve(shipped.activations, head.muscles), np.radians(shipped.jaw_open)
 
 
 def moves(head, state):
@@ -160,6 +162,7 @@ def test_a_small_contraction_and_its_record(tmp_path, monkeypatch, capsys):
         right_side = record["landmarks"]["mouth_corner_right"][field]
         assert left_side[1:] == right_side[1:] and left_side[0] > right_side[0]
     begin = {"picture": b"\x89PNG", "model": b"glTF", "tissue": b"<?xml", "report": b"{"}
+    begin["state"] = b"PK"
     assert set(record["files"]) == set(begin)
     for kind, path in record["files"].items():
         assert (tmp_path / path).read_bytes().startswith(begin[kind]), kind
@@ -176,9 +179,10 @@ def test_every_muscle_has_its_action(head):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SYMMETRIC)
 def test_expressions_are_sound(head, solve, name):
-    activations = expression(head, name)
-    state = solve(activations)
+    activations, jaw = expression(head, name)
+    state = solve(activations, jaw)
     assert_sound(state)
+    assert state.statistics.max_penetration_mm < 0.05
     assert state.activations == pytest.approx(activations)
     for muscle in activations:
         assert_held(head, state, muscle)
@@ -186,7 +190,7 @@ def test_expressions_are_sound(head, solve, name):
 
 @pytest.mark.slow
 def test_smile_closed_lifts_the_corners_and_bulges_the_cheeks(head, solve):
-    state = solve(expression(head, "smile-closed"))
+    state = solve(*expression(head, "smile-closed"))
     moved = moves(head, state)
     corner = moved["mouth_corner_left"]
     assert np.linalg.norm(corner) >= 5.0
@@ -199,7 +203,7 @@ def test_smile_closed_lifts_the_corners_and_bulges_the_cheeks(head, solve):
 
 @pytest.mark.slow
 def test_smile_open_parts_the_lips(head, solve):
-    moved = moves(head, solve(expression(head, "smile-open")))
+    moved = moves(head, solve(*expression(head, "smile-open")))
     corner = moved["mouth_corner_left"]
     assert corner[0] > 0.0 and corner[2] > 0.0
     assert moved["upper_lip_mid"][2] - moved["lower_lip_mid"][2] >= 4.0
@@ -207,14 +211,14 @@ def test_smile_open_parts_the_lips(head, solve):
 
 @pytest.mark.slow
 def test_sad_lowers_the_corners_and_raises_the_inner_brow(head, solve):
-    moved = moves(head, solve(expression(head, "sad")))
+    moved = moves(head, solve(*expression(head, "sad")))
     assert moved["mouth_corner_left"][2] <= -2.0
     assert moved["inner_brow_left"][2] >= 1.0
 
 
 @pytest.mark.slow
 def test_terror_stretches_the_mouth_and_raises_the_brows(head, solve):
-    moved = moves(head, solve(expression(head, "terror")))
+    moved = moves(head, solve(*expression(head, "terror")))
     corner = moved["mouth_corner_left"]
     assert corner[0] > 0.0 and corner[2] < 0.0
     assert moved["lower_lip_mid"][2] < 0.0
