@@ -29,7 +29,9 @@ SAMPLES = 4
 #: Widths of a patch for which it goes on straight beyond the surface's border.
 BEYOND = 1.0
 #: Overlaps greater than this (mm) are those of the far side of a body, not contact.
-DEEPEST = 5.0
+DEEPEST = 3.0
+#: The same beyond the master's border, where its tangent plane soon cuts through anything.
+SHALLOW = 0.5
 
 
 @njit(cache=True)
@@ -244,7 +246,7 @@ def project(
                 best_distance = abs(g)
                 if over <= 1e-9:
                     break
-        if gap[p] < -DEEPEST:
+        if gap[p] < -(DEEPEST if outside[p] <= 1e-9 else SHALLOW):
             host[p] = -1
 
 
