@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,8 @@ _MARGIN_WEIGHT = 8.0
 _CUT_WEIGHT = 0.3
 #: Farthest match (mm) in the first and in the last step.
 _REACH = (20.0, 3.0)
+#: Samples of the tissue and the width (mm) of the mean of corrections that moves bones.
+_AROUND = (400, 4.0)
 #: A vertex of a scan is in a cavity when fewer of its rays than this share escape.
 _ESCAPING = 0.3
 #: The inner surface lies on the eyeball up to this distance (mm).
@@ -484,13 +487,40 @@ class _Whole:
         side = np.where(grown[:, 0] < plane, -1.0, 1.0)
         grown[:, 0] = plane + side * (grown[:, 0] - plane)
         moved = self.host(grown)
-        tissue = cKDTree(self.before.evaluate(*_samples(self.before, 4)))
-        near = np.flatnonzero(tissue.query(grown)[0] < 3.0 * _FADE)
+        near = np.flatnonzero(self._samples.query(grown)[0] < 3.0 * _FADE)
         if len(near):
             place = self.before.locate(grown[near])
             at = place.elements, place.xi
             shift = self.after.evaluate(*at) - self.host(self.before.evaluate(*at))
             moved[near] += np.exp(-((place.distance / _FADE) ** 2))[:, None] * shift
+        moved[:, 0] = plane + side * (moved[:, 0] - plane)
+        return moved
+
+    @cached_property
+    def _samples(self) -> cKDTree:
+        return cKDTree(self.before.evaluate(*_samples(self.before, 3)))
+
+    @cached_property
+    def _shifts(self) -> Array:
+        at = _samples(self.before, 3)
+        return np.asarray(self.after.evaluate(*at) - self.host(self.before.evaluate(*at)))
+
+    def bone(self, points: Array) -> Array:
+        """Return where points (n, 3) of deep structures go.
+
+        Behind a slit the nearest tissue changes from one lip to the other; for teeth and bone the
+        correction is the mean over the tissue around, with Gaussian weights, which is smooth.
+        """
+        plane = self.host.plane
+        grown = self.aligned.grown(points)
+        side = np.where(grown[:, 0] < plane, -1.0, 1.0)
+        grown[:, 0] = plane + side * (grown[:, 0] - plane)
+        moved = self.host(grown)
+        distance, index = self._samples.query(grown, k=_AROUND[0])
+        fade = np.exp(-((distance[:, 0] / _FADE) ** 2))
+        weights = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / _AROUND[1] ** 2)
+        weights /= weights.sum(axis=1, keepdims=True)
+        moved += fade[:, None] * np.einsum("nk,nkd->nd", weights, self._shifts[index])
         moved[:, 0] = plane + side * (moved[:, 0] - plane)
         return moved
 
@@ -551,7 +581,7 @@ def morph_head(
     tell(0.6, "muscles")
     muscles = {key: _muscle(muscle, whole) for key, muscle in head.muscles.items()}
     tell(0.75, "deep structures")
-    deep = {key: _rigid(item, whole, aligned.size) for key, item in head.deep.items()}
+    deep = {key: _rigid(item, whole.bone, aligned.size) for key, item in head.deep.items()}
     if "eyeball" in deep:
         deep["eyeball"] = _eyeball(head, after)
     morphed = replace(head, name=name, tissue=after, muscles=muscles, deep=deep, about={})
