@@ -2,7 +2,7 @@
 
 from .constraints import clamp, symmetry_plane
 from .contact import RigidContact, SignedDistance, SurfaceContact, face_points
-from .continuation import Continuation, Settings, solve
+from .continuation import Continuation, LoadNotReached, Settings, solve
 from .laws import (
     FAT,
     MUSCLE,
@@ -42,6 +42,7 @@ __all__ = [
     "Guccione",
     "Law",
     "Load",
+    "LoadNotReached",
     "PointTerm",
     "Problem",
     "RigidContact",

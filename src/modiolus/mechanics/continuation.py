@@ -64,8 +64,21 @@ class Settings:
     near: float = 1e-3
 
 
-class _Rejected(Exception):
-    """A step that did not converge; the text says why."""
+class LoadNotReached(SolveError):
+    """The load could not be reached; the text says how far it came, where and why it stopped.
+
+    Attributes
+    ----------
+    reached : float
+        Fraction of the load.
+    state : State
+        The last converged state, at that fraction.
+    """
+
+    def __init__(self, text: str, reached: float, state: State) -> None:
+        super().__init__(text)
+        self.reached = reached
+        self.state = state
 
 
 class Continuation:
@@ -109,7 +122,9 @@ class Continuation:
         self._diagonal: Array | None = None
         self._factorisations = 0
         self._iterations = 0
-        self._trouble = ""
+        self._energies: dict[str, float] = {}
+        self._driven: list[str] = []
+        self._blamed: list[str] = []
 
     def run(self, load: Load) -> State:
         """Follow the equilibrium from the present load to ``load``.
@@ -121,37 +136,41 @@ class Continuation:
 
         Raises
         ------
-        SolveError
-            If the load cannot be reached; the message says how far it came and why.
+        LoadNotReached
+            A `SolveError` whose text says how far it came, what stopped it, where the tissue
+            suffers most and what to try.
         """
         began = time.perf_counter()
         self._factorisations = self._iterations = 0
         start, settings = self.state.load, self.settings
+        self._driven = [name for name, value in load.activations.items() if value > 0.0]
+        self._blamed = []
         reached, step, steps = 0.0, settings.first_step, 0
         while reached < 1.0:
             target = min(1.0, reached + step)
             if target > 1.0 - 0.05 * step:
                 target = 1.0
             before = self._factorisations
+            steps += 1
             try:
-                if steps >= settings.max_steps:
-                    self._trouble = f"{steps} steps were not enough"
-                    raise _Rejected
-                steps += 1
                 state = self._advance(
                     start.towards(load, target),
                     settings.tolerance if target == 1.0 else settings.passing,
                 )
-            except _Rejected:
+            except SolveError as error:
                 step = 0.3 * (target - reached)
                 self._fresh = False
                 if step < settings.least_step or steps >= settings.max_steps:
-                    raise SolveError(self._account(load, reached)) from None
+                    text = self._account(load, reached, str(error), steps)
+                    raise LoadNotReached(text, reached, self.state) from None
                 continue
             work = self._factorisations - before
             step = (target - reached) * float(np.clip(8.0 / work, 0.7, 2.5))
             reached = target
             self._keep(state, steps, began)
+            if reached < 1.0 and steps >= settings.max_steps:
+                text = self._account(load, reached, "the next step was still to come", steps)
+                raise LoadNotReached(text, reached, self.state)
             if self.report is not None:
                 statistics = self.state.statistics
                 self.report(
@@ -164,7 +183,7 @@ class Continuation:
             pressed = self.problem.augment(self.state.parameters, self.state.load)
             try:
                 self._keep(self._advance(pressed, settings.tolerance), steps, began)
-            except _Rejected:
+            except SolveError:
                 # The overlap of the penalty remains, and is told.
                 self._fresh = False
                 break
@@ -282,7 +301,7 @@ class Continuation:
                     continue
                 damping = max(10.0 * damping, 0.1)
                 if damping > 20.0:
-                    self._reject("no damping makes the corrections descend", evaluation)
+                    raise self._fault("no damping makes the corrections descend", evaluation)
                 self._refactorise(damping)
             damping = 0.0 if damping < 0.5 else 0.1 * damping
             parameters, pressure, evaluation, following, full = found
@@ -303,8 +322,7 @@ class Continuation:
                 size = after
                 following = -self.solver.solve(evaluation.residual)
                 after = problem.size(following)
-        self._reject(f"{settings.max_iterations} iterations were not enough", evaluation)
-        raise AssertionError
+        raise self._fault(f"{settings.max_iterations} iterations were not enough", evaluation)
 
     def _search(
         self, current: State, change: Array, size: float, load: Load, tolerance: float
@@ -333,29 +351,56 @@ class Continuation:
         statistics = replace(
             self.problem.check(parameters, load, evaluation.volume_ratio), wrong_pivots=wrong
         )
+        self._energies = evaluation.energies
         return replace(
             self.state, parameters=parameters, pressure=pressure, load=load, statistics=statistics
         )
 
-    def _reject(self, reason: str, evaluation: Evaluation) -> None:
+    def _fault(self, reason: str, evaluation: Evaluation) -> SolveError:
+        """Return why a step is rejected, and where the tissue suffers most."""
+        problem = self.problem
         worst = int(np.argmin(evaluation.volume_ratio.min(axis=1)))
-        energies = {k: v for k, v in evaluation.energies.items() if k != "tissue"}
-        term = max(energies, key=lambda name: abs(energies[name]), default="tissue")
-        self._trouble = (
-            f"{reason}; smallest J {evaluation.volume_ratio.min():.3f} in "
-            f"{self.problem.where(worst)}; the term with the greatest energy is {term}"
+        parts = [
+            reason,
+            f"smallest J {evaluation.volume_ratio.min():.3f} in {problem.where(worst)}",
+        ]
+        there = [name for name in problem.muscles_in(worst) if name in self._driven]
+        if there:
+            parts[-1] += f", where {_several(there)} contract{'s' if len(there) == 1 else ''}"
+        change = {
+            name: abs(energy - self._energies.get(name, 0.0))
+            for name, energy in evaluation.energies.items()
+        }
+        parts.append(
+            "the term whose energy changed most since the last state is "
+            f"{max(change, key=lambda name: change[name])}"
         )
-        raise _Rejected
+        self._blamed = there
+        return SolveError("; ".join(parts))
 
-    def _account(self, load: Load, reached: float) -> str:
+    def _account(self, load: Load, reached: float, fault: str, steps: int) -> str:
+        """Say how far the load went, why not farther and what to try."""
         names = [name for name, value in load.activations.items() if value > 0.0]
         if load.jaw > 0.0:
             names.append(f"jaw open by {np.degrees(load.jaw):.3g}°")
-        driven = ", ".join(names) if names else "the prescribed displacement"
+        advice = []
+        if names:
+            blamed = self._blamed or sorted(names, key=lambda n: -load.activations.get(n, 0.0))[:1]
+            advice.append(f"less of {_several(blamed)}")
+        else:
+            advice.append("a smaller displacement")
+        if steps >= self.settings.max_steps:
+            advice.append(f"more than {steps} steps")
+        advice.append("a greater volumetric stiffness")
         return (
-            f"continuation: stopped at {reached:.1%} of the load ({driven}); {self._trouble}; "
-            "try lower activations, a greater volumetric stiffness or more steps"
+            f"continuation: stopped at {reached:.1%} of the load "
+            f"({_several(names) if names else 'the prescribed displacement'}) after {steps} "
+            f"steps; {fault}; try {' or '.join(advice)}"
         )
+
+
+def _several(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def solve(

@@ -97,7 +97,14 @@ def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
         fixed |= clamp(mesh, *cut)
     terms: list[PointTerm] = [fibres(head, settings), *_springs(head)]
     terms += [*_deep_contacts(head, settings), *_slit_contacts(head, settings)]
-    return Problem(mesh, coefficients, kappa=settings.kappa, terms=terms, fixed=fixed)
+    return Problem(
+        mesh,
+        coefficients,
+        kappa=settings.kappa,
+        terms=terms,
+        fixed=fixed,
+        places=head.landmark_points(),
+    )
 
 
 def skin_share(mesh: HermiteMesh) -> Array:

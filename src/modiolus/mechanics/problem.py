@@ -227,6 +227,8 @@ class Problem:
     terms : sequence of PointTerm
     fixed : (n_params, 3) bool array, optional
         Parameters that do not move except as prescribed.
+    places : mapping of str to (3,) array, optional
+        Named places at rest in mm, for messages.
 
     Raises
     ------
@@ -244,11 +246,13 @@ class Problem:
         gauss_order: int = GAUSS,
         terms: Sequence[PointTerm] = (),
         fixed: NDArray[np.bool_] | None = None,
+        places: Mapping[str, Array] | None = None,
     ) -> None:
         if mesh.dim != 3:
             raise InputError(f"mesh: it has dimension {mesh.dim}; give a volume mesh")
         self.mesh = mesh
         self.terms = tuple(terms)
+        self.places = dict(places or {})
         self.kappa = float(kappa)
         self.formulation = Formulation() if formulation is None else formulation
         self.fixed = np.zeros((mesh.n_params, 3), dtype=bool) if fixed is None else fixed
@@ -487,7 +491,21 @@ class Problem:
             max_penetration_mm=self.penetration(parameters, load),
         )
 
+    def muscles_in(self, element: int) -> list[str]:
+        """Return the names of the muscles with fibres in an element."""
+        found: list[str] = []
+        for term in self.terms:
+            if isinstance(term, Fibres):
+                here = np.unique(term.quadrature.muscles[term.hosts == element])
+                found += [term.names[index] for index in here]
+        return found
+
     def where(self, element: int) -> str:
-        """Describe an element for a message."""
+        """Describe an element for a message: its centre at rest, and the nearest named place."""
         place = self.mesh.evaluate([element], [[0.5, 0.5, 0.5]])[0]
-        return f"element {element} near ({', '.join(f'{c:.0f}' for c in place)}) mm"
+        text = f"element {element} at ({', '.join(f'{c:.0f}' for c in place)}) mm"
+        if self.places:
+            away = {name: float(np.linalg.norm(at - place)) for name, at in self.places.items()}
+            nearest = min(away, key=lambda name: away[name])
+            text += f", {away[nearest]:.0f} mm from {nearest}"
+        return text
