@@ -164,7 +164,7 @@ class Assembly:
         self._build_map(ends)
 
     def _build_map(self, offsets: IntArray) -> None:
-        keys, sources = [], []
+        rows, columns, sources = [], [], []
         for group, offset in zip(self.groups, offsets[:-1], strict=True):
             pattern = group.pattern
             e, m = pattern.params.shape
@@ -177,8 +177,8 @@ class Assembly:
                 keep = (row >= 0) & (column >= 0)
                 if i == j:
                     keep &= row <= column
-                low, high = np.minimum(row, column)[keep], np.maximum(row, column)[keep]
-                keys.append(low * self.n + high)
+                rows.append(np.minimum(row, column)[keep])
+                columns.append(np.maximum(row, column)[keep])
                 sources.append(place[:, pair][keep])
             v = pattern.vertices.shape[1]
             place = offset + e * 6 * m * m + np.arange(e * 3 * m * v).reshape(e, 3, m, v)
@@ -187,17 +187,19 @@ class Assembly:
                 column = pressure[:, None, :]
                 keep = (row >= 0) & (column >= 0)
                 row, column = np.broadcast_arrays(row, column)
-                keys.append(row[keep] * self.n + column[keep])
+                rows.append(row[keep])
+                columns.append(column[keep])
                 sources.append(place[:, i][keep])
-        diagonal = np.arange(self.n) * (self.n + 1)
-        all_keys = np.concatenate([*keys, diagonal])
+        diagonal = np.arange(self.n)
+        row = np.concatenate([*rows, diagonal]).astype(np.int32)
+        column = np.concatenate([*columns, diagonal]).astype(np.int32)
         all_sources = np.concatenate(sources)
-        order = np.argsort(all_keys, kind="stable")
-        ordered = all_keys[order]
-        new = np.concatenate([[True], ordered[1:] != ordered[:-1]])
-        rows, columns = np.divmod(ordered[new], self.n)
-        self._indices = columns.astype(np.int32)
-        counts = np.bincount(rows, minlength=self.n)
+        order = _order(column, self.n)
+        order = order[_order(row[order], self.n)]
+        row, column = row[order], column[order]
+        new = np.concatenate([[True], (row[1:] != row[:-1]) | (column[1:] != column[:-1])])
+        self._indices = column[new]
+        counts = np.bincount(row[new], minlength=self.n)
         self._indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         # The diagonal is in the structure even where nothing is added to it.
         real = order < len(all_sources)
@@ -278,3 +280,10 @@ class Assembly:
         free = self.equations >= 0
         out[self.equations[free]] += forces.reshape(-1, 3)[free]
         return out
+
+
+def _order(values: NDArray[np.int32], size: int) -> NDArray[np.int32]:
+    """Return the stable order of values (n,) below ``size``, by counting them."""
+    n = len(values)
+    number = np.arange(n + 1, dtype=np.int32)
+    return np.asarray(sp.csr_matrix((number[:n], values, number), shape=(n, size)).tocsc().data)
