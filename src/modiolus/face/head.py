@@ -128,6 +128,18 @@ class Head:
     half: Head | None = None
 
     @cached_property
+    def skinward(self) -> NDArray[np.int64]:
+        """The element at the skin above each element, (n_elements,); itself in a single layer."""
+        corners = self.tissue.corner_nodes()[0]
+        below = {tuple(face): element for element, face in enumerate(corners[:, :4].tolist())}
+        above = np.arange(self.tissue.n_elements)
+        while True:
+            higher = np.array([below.get(tuple(corners[e, 4:].tolist()), e) for e in above])
+            if np.array_equal(higher, above):
+                return above
+            above = higher
+
+    @cached_property
     def both(self) -> MirroredMesh:
         """The tissue of this half and its mirror image as one mesh."""
         return MirroredMesh.of(self.tissue, *self.sides["midplane"], self.midplane)

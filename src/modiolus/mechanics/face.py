@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,12 +12,12 @@ from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..errors import InputError
 from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw
+from ..face.refine import at_gauss
 from ..face.tissue import Side
-from ..hermite import HermiteMesh
 from .constraints import clamp, symmetry_plane
 from .contact import RigidContact, SurfaceContact, face_points
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
-from .problem import Problem
+from .problem import GAUSS, Problem
 from .terms import FibreQuadrature, Fibres, Load, PointTerm, Springs
 
 
@@ -43,6 +43,8 @@ class FaceSettings:
         Fraction of that penalty with which tissue that touches bone resists lift-off.
     reach : float
         Tissue within this distance (mm) of bone at rest slides on it.
+    gauss_order : int
+        Gauss points of the tissue in each direction of an element.
     """
 
     muscle: str = "wu2013"
@@ -53,6 +55,7 @@ class FaceSettings:
     contact: float = 250.0
     slide: float = 0.05
     reach: float = 2.0
+    gauss_order: int = GAUSS
 
 
 #: Thickness of the skin (mm): its dermis has 0.8 to 2.0 mm in the face.
@@ -71,13 +74,17 @@ ROUNDING = 1.0
 VESTIBULE = 6.0
 
 
-def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
+def face_problem(
+    head: Head, settings: FaceSettings | None = None, terms: Sequence[PointTerm] = ()
+) -> Problem:
     """Set up the equilibrium of a head's half face, or of both sides of `Head.whole`.
 
     Parameters
     ----------
     head : Head
     settings : FaceSettings, optional
+    terms : sequence of PointTerm, optional
+        What acts on the face besides, such as its weight.
 
     Returns
     -------
@@ -86,36 +93,41 @@ def face_problem(head: Head, settings: FaceSettings | None = None) -> Problem:
     """
     settings = FaceSettings() if settings is None else settings
     mesh = head.tissue
-    coefficients = mix(head.fraction, MUSCLE[settings.muscle], FAT)
-    coefficients[..., 0] += settings.skin * skin_share(mesh)
-    knot = head.firmness[..., None]
+    order = settings.gauss_order
+    fraction, firmness = (at_gauss(values, order) for values in (head.fraction, head.firmness))
+    coefficients = mix(fraction, MUSCLE[settings.muscle], FAT)
+    coefficients[..., 0] += settings.skin * skin_share(head, order)
+    knot = firmness[..., None]
     coefficients = (1.0 - knot) * coefficients + knot * np.array([settings.modiolus, 0.0, 0.0])
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
     if head.half is None:
         fixed |= symmetry_plane(mesh, *head.sides["midplane"])
     for _, cut in cuts(head):
         fixed |= clamp(mesh, *cut)
-    terms: list[PointTerm] = [fibres(head, settings), *_springs(head)]
-    terms += [*_deep_contacts(head, settings), *_slit_contacts(head, settings)]
+    acting: list[PointTerm] = [*terms, fibres(head, settings), *_springs(head)]
+    acting += [*_deep_contacts(head, settings), *_slit_contacts(head, settings)]
     return Problem(
         mesh,
         coefficients,
         kappa=settings.kappa,
-        terms=terms,
+        gauss_order=order,
+        terms=acting,
         fixed=fixed,
         places=head.landmark_points(),
     )
 
 
-def skin_share(mesh: HermiteMesh) -> Array:
-    """Return the share of skin at the Gauss points, (n_elements, 64).
+def skin_share(head: Head, gauss_order: int = GAUSS) -> Array:
+    """Return the share of skin at the Gauss points, (n_elements, q).
 
     It fades around the depth of `DERMIS` below the outer surface.
     """
-    elements, xi = Problem.gauss_points(mesh)
+    mesh = head.tissue
+    elements, xi = Problem.gauss_points(mesh, gauss_order)
     above = xi.copy()
     above[:, 2] = 1.0
-    depth = np.linalg.norm(mesh.evaluate(elements, above) - mesh.evaluate(elements, xi), axis=1)
+    skin = mesh.evaluate(head.skinward[elements], above)
+    depth = np.linalg.norm(skin - mesh.evaluate(elements, xi), axis=1)
     return np.asarray(np.clip(1.5 - depth / DERMIS, 0.0, 1.0).reshape(mesh.n_elements, -1))
 
 
@@ -226,8 +238,7 @@ def _springs(head: Head) -> Iterator[Springs]:
             None if head.jaw is None else carry,
         )
     for item in head.insertions.values():
-        skin = item.xi.copy()
-        skin[:, 2] = 1.0
+        skin = head.skinward[item.elements], item.xi * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
         yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "insertions", to=skin)
 
 

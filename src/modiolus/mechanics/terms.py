@@ -296,9 +296,9 @@ class Springs(PointTerm):
     name : str
     carry : callable, optional
         Takes the anchors at rest (n, 3) and returns what takes a load to the anchors' places.
-    to : (n, 3) array, optional
-        ξ, in the same elements, of tissue to which the points are tied; then they keep their
-        vector to it instead of their place.
+    to : (elements (n,), xi (n, 3)), optional
+        Tissue to which the points are tied; then they keep their vector to it instead of their
+        place.
     """
 
     def __init__(
@@ -309,19 +309,29 @@ class Springs(PointTerm):
         stiffness: ArrayLike,
         name: str = "springs",
         carry: Callable[[Array], Callable[[Load], Array]] | None = None,
-        to: ArrayLike | None = None,
+        to: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> None:
         order = by_host(elements)
         elements = np.asarray(elements)[order]
         functions = mesh.functions(elements, np.asarray(xi, dtype=float)[order])
+        self._apart = False
         if to is not None:
-            functions = functions - mesh.functions(elements, np.asarray(to, dtype=float)[order])
+            there, at = np.asarray(to[0])[order], np.asarray(to[1], dtype=float)[order]
+            functions = functions - mesh.functions(there, at)
+            self._apart = bool((there != elements).any())
         super().__init__(name, sp.csr_matrix(functions), elements)
         self.stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), order.shape)[order]
         if not (self.stiffness >= 0.0).all():
             raise InputError(f"{name}: a stiffness is negative or NaN; give values from 0 up")
         self.rest = np.asarray(self.functions @ mesh.parameters)
         self.anchors = None if carry is None else carry(self.rest)
+        self._n_elements = mesh.n_elements
+
+    def pattern(self) -> Pattern | None:
+        """Return a pattern of their own for springs from one element to another."""
+        if not self._apart:
+            return None
+        return Pattern.from_functions(self.functions, self.hosts, self._n_elements)
 
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate ``k/2 |x - X|²``, with X where the load has taken the anchor."""

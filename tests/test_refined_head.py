@@ -1,0 +1,92 @@
+"""A head on a finer mesh is the same head."""
+
+import numpy as np
+import pytest
+
+from modiolus.errors import InputError
+from modiolus.face.refine import at_gauss, child_points, parent_points, refined
+from modiolus.hermite import gauss
+from modiolus.mechanics import Continuation
+from modiolus.mechanics.face import FaceSettings, face_problem
+
+COUNTS = [(2, 2, 1), (1, 1, 2), (2, 1, 3)]
+
+
+@pytest.mark.parametrize("counts", COUNTS)
+def test_shape_places_and_volume_stay(block_head, counts):
+    finer = refined(block_head, counts)
+    assert finer.tissue.n_elements == block_head.tissue.n_elements * np.prod(counts)
+    assert finer.tissue.measures().sum() == pytest.approx(block_head.tissue.measures().sum())
+    for name, point in block_head.landmark_points().items():
+        assert np.allclose(finer.landmark_points()[name], point, atol=1e-12)
+    for name, (elements, axis, side) in block_head.sides.items():
+        area = block_head.tissue.face(elements, axis, side).measures().sum()
+        assert finer.tissue.face(*finer.sides[name]).measures().sum() == pytest.approx(area)
+    for kind in ("attachments", "insertions"):
+        for name, item in getattr(block_head, kind).items():
+            there = getattr(finer, kind)[name]
+            before = block_head.tissue.evaluate(item.elements, item.xi)
+            assert np.allclose(finer.tissue.evaluate(there.elements, there.xi), before, atol=1e-12)
+
+
+def test_points_go_to_children_and_back():
+    rng = np.random.default_rng(0)
+    elements, xi = rng.integers(0, 5, 200), rng.random((200, 3))
+    xi[:40] = np.round(xi[:40])
+    children, inside = child_points(elements, xi, (2, 1, 3))
+    assert inside.min() >= 0.0 and inside.max() <= 1.0
+    back, again = parent_points(children, inside, (2, 1, 3))
+    assert np.array_equal(back, elements) and np.allclose(again, xi, atol=1e-12)
+
+
+def test_a_linear_field_is_interpolated_between_gauss_points():
+    xi = gauss(3, 4)[0]
+    finer = gauss(3, 3)[0]
+    slopes = np.array([1.0, -2.0, 0.5])
+    values = np.stack([xi @ slopes, 3.0 - xi @ slopes])
+    found = at_gauss(values, 3)
+    assert np.allclose(found, np.stack([finer @ slopes, 3.0 - finer @ slopes]))
+
+
+@pytest.mark.parametrize("counts", COUNTS)
+def test_a_field_has_the_same_energies(block_head, counts):
+    rng = np.random.default_rng(1)
+    finer = refined(block_head, counts)
+    tissue = block_head.tissue
+    moved = tissue.parameters + 0.05 * tissue.parameters @ rng.standard_normal((3, 3))
+    found = []
+    for head, parameters in (
+        (block_head, moved),
+        (finer, tissue.with_parameters(moved).refine(counts).parameters),
+    ):
+        problem = face_problem(head)
+        load = problem.load({"strap": 0.3})
+        found.append(problem.evaluate(parameters, problem.rest().pressure, load).energies)
+    for name in ("attachments", "insertions", "fibres"):
+        assert found[1].get(name, 0.0) == pytest.approx(found[0].get(name, 0.0), rel=1e-3)
+    # The skin is half as thick as its layer of Gauss points.
+    assert found[1]["tissue"] == pytest.approx(found[0]["tissue"], rel=0.02)
+
+
+def test_a_small_contraction_is_nearly_the_same(block_head):
+    moves = []
+    for head, settings in (
+        (block_head, FaceSettings()),
+        (refined(block_head, (1, 1, 2)), FaceSettings()),
+        (block_head, FaceSettings(gauss_order=5)),
+    ):
+        problem = face_problem(head, settings)
+        state = Continuation(problem).run(problem.load({"strap": 0.05}))
+        rest, moved = head.landmark_points(), head.landmark_points(state.parameters)
+        moves.append(np.array([moved[name] - rest[name] for name in rest]))
+    size = np.abs(moves[0]).max()
+    assert size > 1e-3
+    for other in moves[1:]:
+        assert np.abs(other - moves[0]).max() < 0.2 * size
+
+
+def test_what_cannot_be_refined_is_refused(block_head):
+    with pytest.raises(InputError, match="counts"):
+        refined(block_head, (0, 1, 1))
+    with pytest.raises(InputError, match="refine its half"):
+        refined(block_head.whole, (1, 1, 2))
