@@ -54,11 +54,11 @@ def refined(head: Head, counts: Sequence[int]) -> Head:
     landmarks: dict[str, tuple[int, tuple[float, float, float]]] = {}
     for name, (element, xi) in head.landmarks.items():
         child, inside = child_points([element], [xi], counts)
-        a, b, c = inside[0].tolist()
+        a, b, c = map(float, inside[0])
         landmarks[name] = (int(child[0]), (a, b, c))
     tissue = head.tissue.refine(counts)
-    elements, xi, _ = tissue.gauss_points(4)
-    parent, inside = parent_points(elements, xi, counts)
+    children, points, _ = tissue.gauss_points(4)
+    parent, inside = parent_points(children, points, counts)
     return replace(
         head,
         tissue=tissue,
