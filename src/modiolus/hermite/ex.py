@@ -233,7 +233,9 @@ class _Plan:
             dim=dim,
             corners=corners,
             layouts=layouts,
-            columns=[[node[key] for key in layout] for node, layout in zip(nodes, layouts, strict=True)],
+            columns=[
+                [node[key] for key in layout] for node, layout in zip(nodes, layouts, strict=True)
+            ],
             keys=[
                 tuple(key_of[c] if c >= 0 else None for c in element)
                 for element in column.reshape(-1, 4**dim).tolist()
@@ -261,12 +263,12 @@ class _Plan:
         nodes = np.unique(self.corners[elements])
         return [self.node(n) for n in nodes.tolist()], [self.element(e) for e in elements.tolist()]
 
-    def values(self, node: int) -> Iterator[tuple[Array, tuple[_Key, ...]]]:
-        """Yield (parameters, components) of every field at a node, with their layout."""
+    def values(self, node: int) -> Iterator[tuple[Array, bool]]:
+        """Yield (parameters, components) of every field at a node, and whether it is linear."""
         for parameters in self.fields.values():
-            yield parameters[self.columns[node]], self.layouts[node]
+            yield parameters[self.columns[node]], False
         for values in self.linear.values():
-            yield values[[node]], ((0, 0),)
+            yield values[[node]], True
 
 
 def _names(name: str, count: int) -> tuple[str, list[str]]:
@@ -422,16 +424,15 @@ def _exnode(plan: _Plan, groups: Mapping[str, IntArray]) -> Iterator[str]:
                         f"#Derivatives={0 if is_linear else kinds - 1}{tail}"
                     )
         yield f" Node: {plan.node(node)}"
-        for values, keys in plan.values(node):
-            if len(keys) == 1 and len(values) == 1 and keys is not layout:
-                table = values.T
-            else:
+        for values, is_linear in plan.values(node):
+            table = values
+            if not is_linear:
                 padded = np.zeros((versions, kinds, values.shape[1]))
                 padded[:, 0] = values[0]
-                for key, value in zip(keys, values, strict=True):
-                    padded[key[1], key[0]] = value
-                table = padded.reshape(-1, values.shape[1]).T
-            yield from (f"  {_numbers(component)}" for component in table)
+                for (kind, version), value in zip(layout, values, strict=True):
+                    padded[version, kind] = value
+                table = padded.reshape(-1, values.shape[1])
+            yield from (f"  {_numbers(component)}" for component in table.T)
     for name, elements in groups.items():
         yield f" Group name: {name}"
         yield " #Fields=0"
