@@ -70,6 +70,7 @@ from modiolus.cli import (  # noqa: E402, F401
     bench,
     catalogue,
     compare,
+    converge,
     heads,
     identify,
     morph,

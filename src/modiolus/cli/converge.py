@@ -1,0 +1,82 @@
+"""``modiolus converge``: how much of an expression the mesh and the settings decide."""
+
+from __future__ import annotations
+
+import os
+import platform
+from typing import Annotated, Any
+
+import typer
+
+from modiolus.cli.app import HeadName, Json, Quiet, app, show
+from modiolus.progress import Progress
+
+
+@app.command(
+    epilog="Examples: modiolus converge smile-closed · modiolus converge sad --quick --json"
+)
+def converge(
+    expression: Annotated[
+        str, typer.Argument(metavar="EXPRESSION|FILE.toml", help="A shipped one, or a TOML file.")
+    ],
+    head: HeadName = "taro",
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Leave out the refined meshes, which take minutes.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Tell how far mesh, quadrature, penalties and steps move the result of an expression.
+
+    Each row changes one thing and is compared with the default over the skin.
+    """
+    from modiolus.face.expression import Expression, resolve
+    from modiolus.face.head import Head
+    from modiolus.face.jaw import opening
+
+    wanted = Expression.named(expression)
+    jaw = opening(wanted.jaw_open)
+    chosen = Head.load(head)
+    activations = resolve(wanted.activations, chosen.muscles)
+    from modiolus.mechanics.convergence import Study, discretisation_error, variants
+
+    study = Study(chosen, activations, jaw)
+    rows = []
+    every = list(variants(quick))
+    with Progress(f"comparing {wanted.name}", total=len(every), quiet=quiet) as progress:
+        for done, variant in enumerate(every):
+            progress.update(done, variant.name)
+            rows.append(study.row(variant))
+        progress.update(len(every), "done")
+    record = {
+        "expression": wanted.name,
+        "head": chosen.name,
+        "cores": os.cpu_count(),
+        "machine": platform.machine(),
+        "rows": rows,
+        "discretisation_error_mm": discretisation_error(rows),
+        "with_mesh": not quick,
+    }
+    show(record, _text(record), as_json, quiet)
+
+
+def _text(record: dict[str, Any]) -> str:
+    """Lay the table out for reading."""
+    head = f"{'':22s}{'elements':>9s}{'unknowns':>9s}{'corner':>9s}{'change':>8s}"
+    lines = [head + f"{'skin rms':>9s}{'most':>8s}{'solve':>9s}"]
+    for row in record["rows"]:
+        line = f"{row['name']:22s}{row['elements']:9d}{row['unknowns']:9d}"
+        if not row["converged"]:
+            lines.append(f"{line}   {row['why']}")
+            continue
+        lines.append(
+            line + f"{row['corner_mm']:9.3f}{row['corner_change_mm']:8.3f}"
+            f"{row['rms_change_mm']:9.3f}{row['max_change_mm']:8.3f}{row['solve_s']:7.1f} s"
+        )
+    parts = "mesh, quadrature and steps" if record["with_mesh"] else "quadrature and steps alone"
+    lines += [
+        "",
+        f"Lengths in mm. Discretisation error of {record['expression']} on {record['head']} by "
+        f"{parts}: {record['discretisation_error_mm']:.3f} mm, root mean square over the skin.",
+    ]
+    return "\n".join(lines)
