@@ -70,10 +70,9 @@ def test_a_known_warp_is_recovered(morphed: tuple[Head, dict, np.ndarray]) -> No
     assert quality["scan_rms_mm"] < 0.25
     assert quality["scan_covered"] > 0.9
     assert all(gate.passed for gate in gates(quality)), quality_text(quality)
-    # The size was measured in the pose that the morph chose.
-    assert np.ptp(skin_surface(head).vertices, axis=0) == pytest.approx(
-        np.ptp(there, axis=0), abs=2.0
-    )
+    # The morph tilts the face as it likes, but its width stays what it is.
+    width = np.ptp(skin_surface(head).vertices[:, 0])
+    assert width == pytest.approx(np.ptp(there[:, 0]), abs=1.0)
 
 
 def test_the_inside_follows_the_skin(taro: Head, morphed: tuple[Head, dict, np.ndarray]) -> None:
