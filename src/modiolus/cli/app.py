@@ -71,6 +71,7 @@ from modiolus.cli import (  # noqa: E402, F401
     catalogue,
     compare,
     converge,
+    export,
     heads,
     identify,
     morph,

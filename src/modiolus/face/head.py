@@ -254,9 +254,10 @@ class Head:
         }
         _write_arrays(folder / "deep.npz", deep)
         (folder / "head.toml").write_text(self._toml(), encoding="utf-8")
-        (folder / "LICENSE").write_text(self._licence(), encoding="utf-8")
+        (folder / "LICENSE").write_text(self.licence_text(), encoding="utf-8")
 
-    def _licence(self) -> str:
+    def licence_text(self) -> str:
+        """Return the terms under which the data may be passed on."""
         about = {key: str(self.about.get(key, "not stated")) for key in _LICENCE_KEYS}
         return (
             f"The files of the head {self.name!r} are licensed under {about['licence']}:\n"

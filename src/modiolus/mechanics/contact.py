@@ -75,6 +75,8 @@ class RigidContact(PointTerm):
     motion : callable, optional
         Rotation (3, 3) and shift (3,) in mm that take the body from rest to its place under a
         load; without it the body stands still.
+    touching : HermiteMesh, optional
+        The tissue in the shape whose distances are touched without force; at rest by default.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class RigidContact(PointTerm):
         onset: float = 0.1,
         name: str = "contact",
         motion: Callable[[Load], tuple[Array, Array]] | None = None,
+        touching: HermiteMesh | None = None,
     ) -> None:
         order = by_host(elements)
         elements = np.asarray(elements)[order]
@@ -103,7 +106,10 @@ class RigidContact(PointTerm):
         self.slide_stiffness = fraction * self.stiffness
         self.onset = onset
         self.rest = surface.sample(np.asarray(self.functions @ mesh.parameters))[0]
-        self.least = np.minimum(self.rest, 0.0)
+        free = self.rest
+        if touching is not None:
+            free = surface.sample(np.asarray(self.functions @ touching.parameters))[0]
+        self.least = np.minimum(free, 0.0)
 
     def sample(self, vectors: Array, load: Load) -> tuple[Array, Array, Array]:
         """Return the body's distance (n,), gradient and Hessian where a load has taken it.

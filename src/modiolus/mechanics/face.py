@@ -14,6 +14,7 @@ from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw
 from ..face.refine import at_gauss
 from ..face.tissue import Side
+from ..hermite import HermiteMesh
 from .constraints import clamp, symmetry_plane
 from .contact import RigidContact, SurfaceContact, face_points
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
@@ -75,7 +76,10 @@ VESTIBULE = 6.0
 
 
 def face_problem(
-    head: Head, settings: FaceSettings | None = None, terms: Sequence[PointTerm] = ()
+    head: Head,
+    settings: FaceSettings | None = None,
+    terms: Sequence[PointTerm] = (),
+    touching: HermiteMesh | None = None,
 ) -> Problem:
     """Set up the equilibrium of a head's half face, or of both sides of `Head.whole`.
 
@@ -85,6 +89,9 @@ def face_problem(
     settings : FaceSettings, optional
     terms : sequence of PointTerm, optional
         What acts on the face besides, such as its weight.
+    touching : HermiteMesh, optional
+        The tissue in the shape in which it touches deep structures without force, where that is
+        not its shape at rest.
 
     Returns
     -------
@@ -105,7 +112,7 @@ def face_problem(
     for _, cut in cuts(head):
         fixed |= clamp(mesh, *cut)
     acting: list[PointTerm] = [*terms, fibres(head, settings), *_springs(head)]
-    acting += [*_deep_contacts(head, settings), *_slit_contacts(head, settings)]
+    acting += [*_deep_contacts(head, settings, touching), *_slit_contacts(head, settings)]
     return Problem(
         mesh,
         coefficients,
@@ -242,10 +249,12 @@ def _springs(head: Head) -> Iterator[Springs]:
         yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "insertions", to=skin)
 
 
-def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]:
+def _deep_contacts(
+    head: Head, settings: FaceSettings, touching: HermiteMesh | None = None
+) -> Iterator[RigidContact]:
     """Put the inner surface against every deep structure that it may reach."""
     elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
-    points = head.tissue.evaluate(elements, xi)
+    points = (touching or head.tissue).evaluate(elements, xi)
     free = _vestibule(head, points)
     for name, grid in _bodies(head).items():
         surface = MirroredDistance(grid, head.midplane)
@@ -264,6 +273,7 @@ def _deep_contacts(head: Head, settings: FaceSettings) -> Iterator[RigidContact]
             slide=settings.slide * slides,
             name=f"contact with {name}",
             motion=_motion(head.jaw, FOLLOWERS.get(name, 0.0)),
+            touching=touching,
         )
 
 

@@ -1,0 +1,187 @@
+"""Gravity: the shape without it, found from a shape with it, and the shape upright.
+
+A head measured lying on its back is not at rest: its tissue hangs towards the back of the head.
+Its shape without gravity is the one whose equilibrium under the weight is the measured shape. The
+fixed point
+
+    X_{k+1} = X_k - (x(X_k) - x_measured)
+
+finds it, where x(X) is the equilibrium of the reference shape X under the weight (Sellier 2011).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError, SolveError
+from ..face.head import Head
+from ..face.moved import moved_head
+from ..hermite import HermiteMesh
+from .continuation import Continuation, Settings
+from .face import FaceSettings, face_problem
+from .laws import Array
+from .problem import Problem, State
+from .terms import DeadForces, Load
+
+__all__ = ["DENSITY", "SUPINE", "UPRIGHT", "Unloaded", "Upright", "unloaded", "upright", "weight"]
+
+#: Density of soft tissue (kg/m³).
+DENSITY = 1040.0
+#: Acceleration of gravity (m/s²).
+ACCELERATION = 9.81
+#: Where gravity points when the subject lies face up, and when it stands (LPS).
+SUPINE = (0.0, 1.0, 0.0)
+UPRIGHT = (0.0, 0.0, -1.0)
+#: The weight's load.
+LOAD = Load(forces={"weight": 1.0})
+#: Rounds after which the fixed point is given up.
+MOST_ROUNDS = 15
+
+#: Makes the problem of a reference shape with its weight under the name ``weight``.
+Build = Callable[[HermiteMesh], Problem]
+#: Called with (share of the work done, message).
+Report = Callable[[float, str], None]
+
+
+def weight(direction: tuple[float, float, float] | Array, density: float = DENSITY) -> Array:
+    """Return the weight of tissue in mN/mm³, (3,), for gravity along a unit direction."""
+    return np.asarray(direction, dtype=float) * density * ACCELERATION * 1e-6
+
+
+@dataclass(frozen=True)
+class Unloaded:
+    """A shape without gravity.
+
+    Attributes
+    ----------
+    mesh : HermiteMesh
+    state : State
+        Its equilibrium under the weight.
+    gaps : list of float
+        Greatest distance in mm of that equilibrium from the given shape in every round.
+    """
+
+    mesh: HermiteMesh
+    state: State
+    gaps: list[float]
+
+
+def unloaded(
+    build: Build,
+    shape: HermiteMesh,
+    tolerance: float = 0.01,
+    settings: Settings | None = None,
+    report: Report | None = None,
+) -> Unloaded:
+    """Find the shape whose equilibrium under its weight is a given one.
+
+    Parameters
+    ----------
+    build : callable
+        Makes the problem of a reference shape; its weight is the `DeadForces` named ``weight``.
+    shape : HermiteMesh
+        As measured, under the weight.
+    tolerance : float
+        Greatest distance (mm) between equilibrium and given shape at 4 x 4 x 4 points an element.
+    settings : Settings, optional
+        Of the continuation in the weight.
+    report : callable, optional
+
+    Raises
+    ------
+    SolveError
+        The equilibrium is not found, or the rounds do not converge.
+    """
+    elements, xi, _ = shape.gauss_points(4)
+    points = shape.functions(elements, xi)
+    reference, gaps = shape, []
+    for count in range(1, MOST_ROUNDS + 1):
+        try:
+            problem = build(reference)
+        except InputError as error:
+            raise SolveError(
+                f"gravity: the shape without it folds in round {count} ({error}); stiffer tissue "
+                "or a smaller density would help"
+            ) from error
+        state = Continuation(problem, settings=settings).run(LOAD)
+        excess = state.parameters - shape.parameters
+        gaps.append(float(np.linalg.norm(points @ excess, axis=1).max()))
+        if report is not None:
+            report(
+                min(0.95, np.log(gaps[0] / gaps[-1] + 1e-9) / np.log(gaps[0] / tolerance + 2.0)),
+                f"round {count}: equilibrium within {gaps[-1]:.3f} mm of the shape",
+            )
+        if gaps[-1] <= tolerance:
+            return Unloaded(reference, state, gaps)
+        if len(gaps) > 3 and gaps[-1] > 2.0 * gaps[-3]:
+            break
+        reference = reference.with_parameters(reference.parameters - excess)
+    told = ", ".join(f"{gap:.3f}" for gap in gaps)
+    raise SolveError(
+        f"gravity: the rounds do not converge (distances {told} mm); allow a larger tolerance"
+    )
+
+
+@dataclass(frozen=True)
+class Upright:
+    """A head measured lying on its back, and the same standing.
+
+    Attributes
+    ----------
+    supine : Head
+        As given.
+    free : Head
+        Without gravity.
+    head : Head
+        Upright.
+    gaps : list of float
+        See `Unloaded`.
+    state : State
+        The equilibrium upright; its reference is the shape without gravity.
+    """
+
+    supine: Head
+    free: Head
+    head: Head
+    gaps: list[float]
+    state: State
+
+
+def upright(
+    head: Head,
+    density: float = DENSITY,
+    tolerance: float = 0.02,
+    settings: FaceSettings | None = None,
+    report: Report | None = None,
+) -> Upright:
+    """Turn a head that was measured lying on its back upright.
+
+    Parameters
+    ----------
+    head : Head
+        Half, in its shape under gravity towards the back of the head.
+    density : float
+        Of the tissue (kg/m³).
+    tolerance : float
+        See `unloaded`.
+    settings : FaceSettings, optional
+    report : callable, optional
+    """
+
+    def build(shape: HermiteMesh, direction: tuple[float, float, float] = SUPINE) -> Problem:
+        there = moved_head(head, shape.parameters)
+        load = DeadForces.body(there.tissue, weight(direction, density))
+        return face_problem(there, settings, terms=[load])
+
+    free = unloaded(build, head.tissue, tolerance, report=report)
+    state = Continuation(build(free.mesh, UPRIGHT)).run(LOAD)
+    return Upright(
+        head,
+        moved_head(head, free.mesh.parameters),
+        moved_head(head, state.parameters),
+        free.gaps,
+        state,
+    )
