@@ -6,28 +6,27 @@ import json
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modiolus.errors import InputError
 from modiolus.export import write_glb, write_vtu
 from modiolus.export.scene import FaceScene
 from modiolus.face.head import Head
-from modiolus.hermite import gauss
+from modiolus.face.refine import at_points
 from modiolus.hermite.tessellate import tessellate
 from modiolus.mechanics import Continuation, Problem, State
 from modiolus.mechanics.face import face_load, face_problem
 from modiolus.progress import Progress
-from modiolus.scans.result import STATE_FILE, save_state
+from modiolus.scans.result import STATE_FILE, Result, save_state
 from modiolus.view.face import draw_face
 
 __all__ = ["Runner"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: Divisions of an element in the files for display.
 _VTU_DIVISIONS = 4
@@ -49,7 +48,11 @@ class Runner:
         self.head = head
         self.source = str(Path(source).resolve()) if Path(source, "head.toml").is_file() else source
         self.quiet = quiet
-        self.scene = FaceScene(head)
+
+    @cached_property
+    def scene(self) -> FaceScene:
+        """What is drawn of the head."""
+        return FaceScene(self.head)
 
     @cached_property
     def problem(self) -> Problem:
@@ -61,8 +64,14 @@ class Runner:
         """The problem of both sides."""
         return face_problem(self.head.whole)
 
-    def solve(self, name: str, activations: Mapping[str, float], jaw_open: float = 0.0) -> State:
-        """Follow the face from rest to a load; on both sides where the muscles' names have one.
+    def solve(
+        self,
+        name: str,
+        activations: Mapping[str, float],
+        jaw_open: float = 0.0,
+        start: Result | None = None,
+    ) -> State:
+        """Follow the face to a load; on both sides where the muscles' names have one.
 
         Parameters
         ----------
@@ -72,12 +81,48 @@ class Runner:
             0..1 by muscle, as `modiolus.face.expression.resolve` returns them.
         jaw_open : float
             Angle in radians.
+        start : Result, optional
+            A state of this head to begin at; rest by default. From one with both sides the way
+            stays on both.
+
+        Raises
+        ------
+        InputError
+            `start` does not fit the head.
+        LoadNotReached
+            The computation stopped on the way.
         """
-        one = set(activations) <= set(self.head.muscles)
+        half = set(self.head.muscles)
+        one = set(activations) <= half
+        if start is not None and len(start.parameters) != self.head.tissue.n_params:
+            if one:
+                activations = _on_both(activations)
+            one = False
         problem = self.problem if one else self.whole_problem
-        load = face_load(problem, self.head if one else self.head.whole, activations, jaw_open)
+        head = self.head if one else self.head.whole
+        load = face_load(problem, head, activations, jaw_open)
+        state = None if start is None else self._begin(start, problem, head)
         with Progress(f"solving {name}", quiet=self.quiet) as progress:
-            return Continuation(problem, report=progress.update).run(load)
+            return Continuation(problem, state, report=progress.update).run(load)
+
+    def _begin(self, start: Result, problem: Problem, head: Head) -> State:
+        """Return an earlier state as one of a problem of this head, half or whole."""
+        rest, parameters, pressure = problem.rest(), start.parameters, start.pressure
+        activations = start.activations
+        if len(parameters) != problem.mesh.n_params:
+            parameters = self.head.both.whole(parameters)
+            corners = self.head.tissue.corner_nodes()[0]
+            # The image of a corner lies at the other end of xi1.
+            corners = np.vstack([corners, corners[:, np.arange(8) ^ 1]])
+            if len(pressure) == corners.max() + 1:
+                both = np.empty(len(rest.pressure))
+                both[rest.vertices] = pressure[corners]
+                pressure = both
+            activations = _on_both(activations)
+        if len(pressure) != len(rest.pressure):
+            raise InputError("--from: the pressures of the state do not fit; simulate it anew")
+        load = face_load(problem, head, activations, start.jaw)
+        return replace(rest, parameters=parameters, pressure=pressure, load=load)
 
     def write(
         self, name: str, title: str, state: State, folder: Path, target: Path, began: float
@@ -191,19 +236,11 @@ class Runner:
                 "displacement": volume.points(state.parameters) - rest,
                 "J": volume.average(state.volume_ratio(*at)),
                 "stretch": volume.average(stretch),
-                "muscle_fraction": volume.average(_at_points(head.fraction, *at)),
+                "muscle_fraction": volume.average(at_points(head.fraction, *at)),
                 "pressure": volume.average(state.pressure_at(*at)),
             },
         )
 
 
-def _at_points(values: Floats, elements: Ints, xi: Floats) -> Floats:
-    """Interpolate values at the 4 x 4 x 4 Gauss points of elements, (n_elements, 64), linearly.
-
-    Beyond the outermost Gauss points the value is that of the nearest one.
-    """
-    ticks = gauss(1, 4)[0][:, 0]
-    shares = [np.stack([np.interp(x, ticks, row) for row in np.eye(4)], axis=1) for x in xi.T]
-    cubes = values.reshape(-1, 4, 4, 4)[elements]
-    # The first direction runs fastest.
-    return np.asarray(np.einsum("nkji,ni,nj,nk->n", cubes, *shares))
+def _on_both(activations: Mapping[str, float]) -> dict[str, float]:
+    return {f"{name}_{side}": a for name, a in activations.items() for side in ("left", "right")}

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
 from modiolus.cli.outputs import whole_folder
-from modiolus.errors import InputError
+from modiolus.errors import InputError, SolveError
+
+if TYPE_CHECKING:
+    from modiolus.cli.run import Runner
+    from modiolus.face.expression import Expression
+    from modiolus.face.head import Head
+    from modiolus.mechanics import LoadNotReached
+    from modiolus.scans.result import Result
 
 
 @app.command(
     epilog="Examples: modiolus simulate smile-closed · modiolus simulate my.toml --json · "
     "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5 · "
-    "modiolus simulate terror --jaw-open 12 · modiolus simulate smile-closed --palsy right"
+    "modiolus simulate terror --jaw-open 12 · modiolus simulate smile-closed --palsy right · "
+    "modiolus simulate --activation risorius=1 --from out/smile-closed"
 )
 def simulate(
     expression: Annotated[
@@ -54,6 +63,15 @@ def simulate(
             show_default=False,
         ),
     ] = "",
+    start: Annotated[
+        str,
+        typer.Option(
+            "--from",
+            metavar="DIR",
+            help="Begin at the state in a folder that simulate wrote, not at rest.",
+            show_default=False,
+        ),
+    ] = "",
     head: HeadName = "taro",
     out: Out = Path("out"),
     as_json: Json = False,
@@ -61,7 +79,8 @@ def simulate(
 ) -> None:
     """Contract the muscles of an expression and write OUT/<name>/.
 
-    The folder has face.png, face.glb, tissue.vtu and report.json.
+    The folder has face.png, face.glb, tissue.vtu, state.npz and report.json. Where the activations
+    cannot be reached, OUT/<name>-stopped/ has the last state on the way.
     """
     began = time.perf_counter()
     from modiolus.face.expression import Expression, resolve
@@ -79,14 +98,52 @@ def simulate(
     chosen = Head.load(head)
     activations = resolve({**wanted.activations, **given}, chosen.muscles, palsy)
     target = out / wanted.name
+    earlier = _earlier(start, head, chosen) if start else None
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
+        from modiolus.mechanics import LoadNotReached
 
         runner = Runner(chosen, quiet, head)
-        state = runner.solve(wanted.name, activations, jaw)
         title = f"{wanted.title or wanted.name}, {palsy} side palsied" if palsy else wanted.title
+        try:
+            state = runner.solve(wanted.name, activations, jaw, earlier)
+        except LoadNotReached as error:
+            if error.reached == 0.0:
+                raise
+            place = _stopped(runner, error, wanted, target, began)
+            raise SolveError(f"{error}; the state there is in {place}") from None
         record = runner.write(wanted.name, title, state, folder, target, began)
     show(record, describe(record), as_json, quiet)
+
+
+def _earlier(folder: str, name: str, head: Head) -> Result:
+    """Read the state to begin at; it must be one of the head in use."""
+    from modiolus.scans.result import load_result
+
+    try:
+        found = load_result(folder)
+        other = not np.array_equal(found.head.tissue.parameters, head.tissue.parameters)
+    except InputError as error:
+        raise InputError(f"--from {error}") from None
+    if other:
+        raise InputError(
+            f"--from {folder}: a state of the head {found.head.name}, not of {name}; "
+            f"name another folder, or the head with --head"
+        )
+    return found
+
+
+def _stopped(
+    runner: Runner, error: LoadNotReached, wanted: Expression, target: Path, began: float
+) -> Path:
+    """Write the last state on the way to a load that was not reached; return its folder."""
+    place = target.with_name(f"{target.name}-stopped")
+    statistics = replace(error.state.statistics, converged=False)
+    title = f"{wanted.title or wanted.name}, stopped at {error.reached:.0%}"
+    with whole_folder(place, marker="report.json") as folder:
+        state = replace(error.state, statistics=statistics)
+        runner.write(wanted.name, title, state, folder, place, began)
+    return place
 
 
 def describe(record: dict[str, Any]) -> str:

@@ -37,6 +37,8 @@ class Settings:
         The same for the steps before the last, whose only use is to begin the next one.
     first_step, least_step : float
         Fractions of the load.
+    warm_change : float
+        Greatest change of an activation in the first step from a known state.
     max_steps : int
         Converged and rejected steps together.
     max_iterations : int
@@ -56,6 +58,7 @@ class Settings:
     passing: float = 5e-3
     first_step: float = 0.06
     least_step: float = 2e-3
+    warm_change: float = 0.1
     max_steps: int = 80
     max_iterations: int = 18
     least_ratio: float = 0.05
@@ -145,7 +148,7 @@ class Continuation:
         start, settings = self.state.load, self.settings
         self._driven = [name for name, value in load.activations.items() if value > 0.0]
         self._blamed = []
-        reached, step, steps = 0.0, settings.first_step, 0
+        reached, step, steps, fault = 0.0, self._first_step(load), 0, ""
         while reached < 1.0:
             target = min(1.0, reached + step)
             if target > 1.0 - 0.05 * step:
@@ -160,8 +163,9 @@ class Continuation:
             except SolveError as error:
                 step = 0.3 * (target - reached)
                 self._fresh = False
+                fault = str(error)
                 if step < settings.least_step or steps >= settings.max_steps:
-                    text = self._account(load, reached, str(error), steps)
+                    text = self._account(load, reached, fault, steps)
                     raise LoadNotReached(text, reached, self.state) from None
                 continue
             work = self._factorisations - before
@@ -169,7 +173,8 @@ class Continuation:
             reached = target
             self._keep(state, steps, began)
             if reached < 1.0 and steps >= settings.max_steps:
-                text = self._account(load, reached, "the next step was still to come", steps)
+                fault = f"the last step that failed: {fault}" if fault else "no step failed"
+                text = self._account(load, reached, fault, steps)
                 raise LoadNotReached(text, reached, self.state)
             if self.report is not None:
                 statistics = self.state.statistics
@@ -188,6 +193,18 @@ class Continuation:
                 self._fresh = False
                 break
         return self.state
+
+    def _first_step(self, load: Load) -> float:
+        """Return the first step: small at rest, and from a known state by what changes."""
+        start, settings = self.state.load, self.settings
+        change = [
+            abs(load.activations.get(name, 0.0) - start.activations.get(name, 0.0))
+            for name in {*load.activations, *start.activations}
+        ]
+        known = start.activations and start.jaw == load.jaw and start.forces == load.forces
+        if not known:
+            return settings.first_step
+        return float(np.clip(settings.warm_change / max(max(change), 1e-9), settings.first_step, 1))
 
     def _keep(self, state: State, steps: int, began: float) -> None:
         statistics = replace(

@@ -30,6 +30,8 @@ class Result:
     head : Head
     parameters : (n_params, 3) array
         Of the tissue of the half, or of both sides (mm).
+    pressure : (n_vertices,) array
+        In kPa.
     activations : dict of str to float
         By muscle; those at rest are left out.
     jaw : float
@@ -39,6 +41,7 @@ class Result:
     expression: str
     head: Head
     parameters: Array
+    pressure: Array
     activations: dict[str, float]
     jaw: float
 
@@ -110,6 +113,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         source = str(arrays["head"]) if head is None else head
         chosen = Head.load(source)
         parameters = np.asarray(arrays["parameters"], dtype=float)
+        pressure = np.asarray(arrays["pressure"], dtype=float).ravel()
         names, values = arrays["muscles"].tolist(), arrays["activations"].astype(float).tolist()
         same = str(arrays["digest"]) == _digest(chosen)
         expression, jaw = str(arrays["expression"]), float(arrays["jaw"])
@@ -120,6 +124,9 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
     sizes = (chosen.tissue.n_params, chosen.both.mesh.n_params)
     if not same or parameters.shape not in [(size, 3) for size in sizes]:
         raise InputError(f"{folder}: the head {source} has changed since; simulate anew")
-    if not np.isfinite([*parameters.ravel(), jaw]).all():
+    if not np.isfinite([*parameters.ravel(), *pressure, *values, jaw]).all():
         raise InputError(f"{path}: a number is not finite; simulate anew")
-    return Result(expression, chosen, parameters, dict(zip(names, values, strict=True)), jaw)
+    if len(names) != len(values):
+        raise InputError(f"{path}: muscles and activations do not pair; simulate anew")
+    activations = dict(zip(names, values, strict=True))
+    return Result(expression, chosen, parameters, pressure, activations, jaw)

@@ -1,0 +1,109 @@
+"""Beginning at earlier states, what is said when a load is not reached, what settings change."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modiolus.cli import main
+from modiolus.cli.run import Runner
+from modiolus.errors import InputError
+from modiolus.face.head import Head
+from modiolus.mechanics import Continuation, LoadNotReached, Settings
+from modiolus.mechanics.convergence import Study, discretisation_error, variants
+from modiolus.mechanics.face import face_problem
+from modiolus.scans.result import Result, save_state
+
+
+def result_of(head, state):
+    return Result("x", head, state.parameters, state.pressure, state.activations, 0.0)
+
+
+@pytest.fixture(scope="module")
+def runner(block_head):
+    return Runner(block_head, quiet=True)
+
+
+@pytest.fixture(scope="module")
+def contracted(runner):
+    return runner.solve("x", {"strap": 0.2})
+
+
+def test_an_earlier_state_saves_work_and_changes_nothing(runner, contracted):
+    cold = runner.solve("x", {"strap": 0.22})
+    warm = runner.solve("x", {"strap": 0.22}, start=result_of(runner.head, contracted))
+    assert np.abs(warm.parameters - cold.parameters).max() < 5e-3
+    assert warm.statistics.factorisations < cold.statistics.factorisations
+
+
+def test_one_side_can_begin_at_a_state_of_both(runner, contracted):
+    start = result_of(runner.head, contracted)
+    same = runner.solve("x", {"strap_left": 0.2, "strap_right": 0.2}, start=start)
+    left, right = runner.head.halves(same.parameters)
+    assert len(same.parameters) == runner.head.both.mesh.n_params
+    assert np.abs(left - contracted.parameters).max() < 5e-3
+    assert np.abs(right - left).max() < 5e-3
+    wink = runner.solve("x", {"strap_left": 0.22}, start=result_of(runner.head, same))
+    left, right = runner.head.halves(wink.parameters)
+    assert np.abs(right - left).max() > 0.05
+    back = runner.solve("x", {"strap": 0.2}, start=result_of(runner.head, wink))
+    assert np.abs(runner.head.halves(back.parameters)[1] - contracted.parameters).max() < 5e-3
+
+
+def test_a_state_with_other_pressures_is_refused(runner, contracted):
+    start = result_of(runner.head, contracted)
+    with pytest.raises(InputError, match="--from"):
+        runner.solve("x", {"strap": 0.2}, start=replace(start, pressure=start.pressure[:-1]))
+
+
+def test_a_failure_names_place_muscle_term_and_remedy(block_head):
+    problem = face_problem(block_head)
+    path = Continuation(problem, settings=Settings(least_ratio=0.97, max_steps=40))
+    with pytest.raises(LoadNotReached) as caught:
+        path.run(problem.load({"strap": 1.0}))
+    text = str(caught.value)
+    for word in ("% of the load (strap)", "smallest J 0.", "mm from", "strap contracts", "less of"):
+        assert word in text
+    assert "\n" not in text
+    assert 0.0 < caught.value.reached < 1.0
+    assert caught.value.state is path.state
+    assert path.state.activations["strap"] == pytest.approx(caught.value.reached)
+
+
+def test_a_study_compares_with_its_default(block_head):
+    landmarks = {**block_head.landmarks, "mouth_corner": block_head.landmarks["corner"]}
+    study = Study(replace(block_head, landmarks=landmarks), {"strap": 0.1}, 0.0)
+    rows = [study.row(variant) for variant in variants() if "2 x 2" not in variant.name]
+    first, *others = rows
+    assert first["rms_change_mm"] == first["corner_change_mm"] == 0.0
+    assert first["corner_mm"] > 1e-3
+    by_kind = {}
+    for row in others:
+        assert row["converged"] and 0.0 <= row["rms_change_mm"] <= row["max_change_mm"]
+        by_kind.setdefault(row["kind"], []).append(row["rms_change_mm"])
+    assert set(by_kind) == {"step", "quadrature", "kappa", "contact", "mesh"}
+    # The way to a state leaves less in it than the mesh.
+    assert by_kind["step"][0] < 2e-3 < by_kind["mesh"][0]
+    total = by_kind["step"][0] + by_kind["quadrature"][0] + by_kind["mesh"][0]
+    assert discretisation_error(rows) == pytest.approx(total)
+    json.dumps(rows, allow_nan=False)
+
+
+def test_a_state_of_another_head_is_refused(capsys, tmp_path):
+    taro = Head.load("taro")
+    parameters = taro.tissue.parameters
+    save_state(tmp_path / "state.npz", "x", taro, "taro", parameters, np.zeros(8), {}, 0.0)
+    for folder, head, words in (
+        (tmp_path, "ict", "a state of the head taro, not of ict"),
+        (tmp_path / "none", "taro", "no state.npz"),
+        (tmp_path, "taro", "the pressures of the state do not fit"),
+    ):
+        out = str(tmp_path / "out")
+        arguments = ["simulate", "sad", "--head", head, "--from", str(folder), "--out", out]
+        with pytest.raises(SystemExit) as left:
+            main(arguments)
+        printed = capsys.readouterr()
+        assert left.value.code == 2 and printed.out == ""
+        assert words in printed.err and printed.err.count("\n") == 1
+        assert not (tmp_path / "out").exists()
