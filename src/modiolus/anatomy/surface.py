@@ -187,6 +187,33 @@ class Surface:
         squared, faces, nearest = self._tree.squared_distance(self.vertices, self.faces, queries)
         return Closest(np.atleast_2d(nearest), np.sqrt(squared), np.atleast_1d(faces))
 
+    def escaping(self, points: np.ndarray, normals: np.ndarray, directions: int = 64) -> np.ndarray:
+        """Return which share of the rays from points of the surface into the open escapes it.
+
+        Parameters
+        ----------
+        points, normals : (n, 3) arrays
+            Of the surface (mm).
+        directions : int
+            Rays, spread evenly over the sphere; those before a point count.
+
+        Returns
+        -------
+        (n,) array
+        """
+        k = np.arange(directions)
+        height = 1.0 - (2.0 * k + 1.0) / directions
+        turn = 4.0 * np.pi * k / (1.0 + np.sqrt(5.0))
+        radius = np.sqrt(1.0 - height**2)
+        rays = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+        starts = points + 0.05 * normals
+        escaped, tried = np.zeros(len(points)), np.zeros(len(points))
+        for ray in rays:
+            before = normals @ ray > 0.1
+            tried += before
+            escaped[before] += np.isnan(self.first_hits(starts[before], ray)[:, 0])
+        return np.asarray(escaped / np.maximum(tried, 1.0))
+
     def first_hits(self, origins: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Find where rays first meet the surface.
 

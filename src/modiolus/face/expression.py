@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from ..errors import InputError, unknown_name
+from ..files import read_toml
 from .jaw import opening
 
 __all__ = ["GROUPS", "Expression", "expression_names", "resolve"]
@@ -62,15 +63,7 @@ class Expression:
             If the file cannot be read or says something that is not understood.
         """
         path = Path(path)
-        try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be read ({error.strerror}); name a TOML file"
-            ) from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: not a TOML file ({error}); mend it") from None
-        return cls._checked(path.stem, content, str(path))
+        return cls._checked(path.stem, read_toml(path), str(path))
 
     @classmethod
     def shipped(cls, name: str) -> Expression:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..anatomy.surface import MIDPLANE
 from ..errors import InputError, unknown_name
+from ..files import read_toml
 from ..hermite import HermiteMesh, MirroredMesh
 from ..hermite.basis import Array
 from .jaw import Jaw
@@ -424,14 +424,7 @@ def _table(name: str, values: Mapping[str, Any]) -> list[str]:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); name a head's directory"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}); mend it") from error
+    table = read_toml(path, "name a head's directory")
     if table.get("format") != FORMAT:
         raise InputError(
             f"{path}: format is {table.get('format')!r} and not {FORMAT}; build the head anew"

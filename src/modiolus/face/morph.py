@@ -764,27 +764,12 @@ def scan_error(head: Head, surface: Surface) -> tuple[Array, NDArray[np.bool_], 
         Share of the scan's vertices that `open` has.
     """
     skin = Matcher(skin_surface(head), 4000)
-    normals = vertex_normals(surface)
+    normals = surface.vertex_normals
     near, facing, good = skin.matches(surface.vertices, 10.0)
     good &= np.einsum("ni,ni->n", facing, normals) > 0.3
     points = surface.vertices[good]
-    seen = escaping(surface, points, normals[good]) > _ESCAPING
+    seen = surface.escaping(points, normals[good]) > _ESCAPING
     return np.linalg.norm(near[good] - points, axis=1), seen, float(seen.sum() / len(good))
-
-
-def escaping(surface: Surface, points: Array, normals: Array, directions: int = 64) -> Array:
-    """Return which share of the rays from points of a surface into the open escapes it, (n,)."""
-    height = 1.0 - (2.0 * np.arange(directions) + 1.0) / directions
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(directions)
-    radius = np.sqrt(1.0 - height**2)
-    rays = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
-    starts = points + 0.05 * normals
-    escaped, tried = np.zeros(len(points)), np.zeros(len(points))
-    for ray in rays:
-        before = normals @ ray > 0.1
-        tried += before
-        escaped[before] += np.isnan(surface.first_hits(starts[before], ray)[:, 0])
-    return np.asarray(escaped / np.maximum(tried, 1.0))
 
 
 def _seen(head: Head, surface: Surface) -> float:
@@ -795,11 +780,3 @@ def _seen(head: Head, surface: Surface) -> float:
     scans = [Matcher(part, 1000) for part in (surface, surface.mirrored(head.midplane))]
     found = [good for good, _, _ in _matches(scans, points, normals, 2.0)]
     return float(np.any(found, axis=0).mean())
-
-
-def vertex_normals(surface: Surface) -> Array:
-    """Return the mean normals of the triangles around every vertex, (n, 3)."""
-    out = np.zeros_like(surface.vertices)
-    for corner in range(3):
-        np.add.at(out, surface.faces[:, corner], surface.normals * surface.areas[:, None])
-    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))

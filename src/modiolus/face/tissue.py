@@ -115,20 +115,9 @@ def outer_sheet(skin: Surface, directions: int = 64) -> Surface:
     A triangle is on the outer sheet when rays from it into the half-space before it mostly
     escape; the lining and the insides see the other wall.
     """
-    k = np.arange(directions)
-    height = 1.0 - (2.0 * k + 1.0) / directions
-    turn = 4.0 * np.pi * k / (1.0 + np.sqrt(5.0))
-    radius = np.sqrt(1.0 - height**2)
-    rays = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
-    centres = skin.vertices[skin.faces].mean(axis=1) + 0.05 * skin.normals
-    escaped = np.zeros(len(centres))
-    tried = np.zeros(len(centres))
-    for ray in rays:
-        before = skin.normals @ ray > 0.1
-        tried += before
-        hits = skin.first_hits(centres[before], ray)
-        escaped[before] += np.isnan(hits[:, 0])
-    return skin.picked(skin.faces[escaped > 0.3 * tried]).largest_component()
+    centres = skin.vertices[skin.faces].mean(axis=1)
+    open_ = skin.escaping(centres, skin.normals, directions) > 0.3
+    return skin.picked(skin.faces[open_]).largest_component()
 
 
 def eyeball() -> Surface:

@@ -1,0 +1,31 @@
+"""Files that a person gives, checked at the door."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError
+
+__all__ = ["read_toml"]
+
+
+def read_toml(path: Path, mend: str = "name a TOML file") -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+    mend : str
+        What to do when it cannot be read.
+
+    Raises
+    ------
+    InputError
+        It cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a TOML file ({error}); mend it") from None
