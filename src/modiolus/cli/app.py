@@ -75,6 +75,7 @@ from modiolus.cli import (  # noqa: E402, F401
     heads,
     identify,
     morph,
+    segment,
     simulate,
     validate,
     verify,
