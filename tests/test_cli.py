@@ -14,7 +14,7 @@ from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError
 
 COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head show"]
-COMMANDS += ["compare", "identify", "validate"]
+COMMANDS += ["compare", "identify", "validate", "morph", "verify", "bench", "converge"]
 
 
 @pytest.fixture
@@ -209,3 +209,18 @@ def test_import_is_quick():
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
     assert float(answer.stdout) < 0.5
+
+
+def test_heads_say_where_they_come_from(run, tmp_path):
+    code, out, _ = run("heads", "--json")
+    found = {head["name"]: head for head in json.loads(out)["heads"]}
+    assert code == 0 and {"taro", "ict"} <= set(found)
+    assert all(head["licence"] and head["source"] for head in found.values())
+    local = tmp_path / "heads" / "mine"
+    local.mkdir(parents=True)
+    (local / "head.toml").write_text('format = 1\nname = "mine"\nmidplane = 0.0\n[landmarks]\n')
+    code, out, _ = run("heads", tmp_path / "heads")
+    assert code == 0 and str(local) in out and "fit not stated" in out
+    (local / "head.toml").write_text("format = ")
+    assert_refused(run("heads", tmp_path / "heads"), "head.toml", "TOML")
+    assert_refused(run("heads", tmp_path / "none"), "none", "no such folder")

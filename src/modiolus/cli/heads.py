@@ -2,26 +2,68 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
 from modiolus.cli.outputs import whole_folder
+from modiolus.errors import InputError
 from modiolus.progress import Progress
 
 _head = typer.Typer(help="Look at a head.", rich_markup_mode=None, no_args_is_help=True)
 app.add_typer(_head, name="head")
 
 
-@app.command(epilog="Example: modiolus heads --json")
-def heads(as_json: Json = False) -> None:
-    """List the heads that come with modiolus."""
-    from modiolus.face.head import head_names
+@app.command(epilog="Examples: modiolus heads · modiolus heads heads/ --json")
+def heads(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DIR]", help="List the heads in this folder too.", show_default=False
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List the heads that come with modiolus, and those in a folder.
 
-    names = list(head_names())
-    show({"heads": names}, "\n".join(names), as_json, quiet=False)
+    Each with its subject, source, licence, and how far its skin is from the surface it was fitted
+    to.
+    """
+    from modiolus.face.head import about_head, head_names
+
+    names = [*head_names(), *(_local_heads(folder) if folder is not None else [])]
+    found = [{"name": name, **about_head(name)} for name in names]
+    fields = ("subject", "source", "licence")
+    text = "\n\n".join(
+        "\n".join(
+            [
+                str(item["name"]),
+                *(f"  {key:8} {item[key]}" for key in fields if key in item),
+                f"  skin     {_fit(item.get('quality', {}))}",
+            ]
+        )
+        for item in found
+    )
+    show({"heads": found}, text, as_json, quiet=False)
+
+
+def _local_heads(folder: Path) -> list[str]:
+    """Return the heads in a folder, which may be one itself."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name one that holds heads")
+    places = [folder, *sorted(folder.iterdir())]
+    return [str(place) for place in places if (place / "head.toml").is_file()]
+
+
+def _fit(quality: Mapping[str, Any]) -> str:
+    """Say how far the skin is from what it was fitted to."""
+    for key, what in (("skin_rms_mm", "the anatomy's skin"), ("scan_rms_mm", "the scan")):
+        if key in quality:
+            return f"{quality[key]:.2f} mm from {what}, root mean square"
+    return "fit not stated"
 
 
 @_head.command("show", epilog="Example: modiolus head show --head taro --out out")

@@ -10,6 +10,7 @@ import json
 import re
 import zipfile
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.resources import as_file, files
@@ -367,6 +368,22 @@ class Head:
             raise InputError(
                 f"{folder}: its arrays do not make a head ({fault}); build or copy it anew"
             ) from error
+
+
+def about_head(name: str | Path) -> dict[str, Any]:
+    """Return what a shipped head, or one in a directory, says of itself: see `Head.about`.
+
+    Raises
+    ------
+    InputError
+        There is no such head, or its ``head.toml`` is not sound.
+    """
+    shipped = str(name) in head_names()
+    with as_file(_SHIPPED / str(name)) if shipped else nullcontext(Path(name)) as folder:
+        about = _read_toml(Path(folder) / "head.toml").get("about", {})
+    if not isinstance(about, dict):
+        raise InputError(f"{name}: its [about] is not a table; mend head.toml")
+    return about
 
 
 def head_names() -> tuple[str, ...]:
