@@ -77,6 +77,7 @@ from modiolus.cli import (  # noqa: E402, F401
     morph,
     segment,
     simulate,
+    upright,
     validate,
     verify,
 )

@@ -14,7 +14,6 @@ from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw
 from ..face.refine import at_gauss
 from ..face.tissue import Side
-from ..hermite import HermiteMesh
 from .constraints import clamp, symmetry_plane
 from .contact import RigidContact, SurfaceContact, face_points
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
@@ -79,7 +78,7 @@ def face_problem(
     head: Head,
     settings: FaceSettings | None = None,
     terms: Sequence[PointTerm] = (),
-    touching: HermiteMesh | None = None,
+    measured: Head | None = None,
 ) -> Problem:
     """Set up the equilibrium of a head's half face, or of both sides of `Head.whole`.
 
@@ -89,9 +88,9 @@ def face_problem(
     settings : FaceSettings, optional
     terms : sequence of PointTerm, optional
         What acts on the face besides, such as its weight.
-    touching : HermiteMesh, optional
-        The tissue in the shape in which it touches deep structures without force, where that is
-        not its shape at rest.
+    measured : Head, optional
+        The head in the shape that was measured, where that is not its shape at rest: in it the
+        tissue touches deep structures without force, and the muscles are located.
 
     Returns
     -------
@@ -111,8 +110,8 @@ def face_problem(
         fixed |= symmetry_plane(mesh, *head.sides["midplane"])
     for _, cut in cuts(head):
         fixed |= clamp(mesh, *cut)
-    acting: list[PointTerm] = [*terms, fibres(head, settings), *_springs(head)]
-    acting += [*_deep_contacts(head, settings, touching), *_slit_contacts(head, settings)]
+    acting: list[PointTerm] = [*terms, fibres(head, settings, measured), *_springs(head)]
+    acting += [*_deep_contacts(head, settings, measured), *_slit_contacts(head, settings)]
     return Problem(
         mesh,
         coefficients,
@@ -189,10 +188,14 @@ def face_load(
     return replace(load, prescribed=prescribed, jaw=jaw_open)
 
 
-def fibres(head: Head, settings: FaceSettings) -> Fibres:
-    """Embed the muscles: their own quadrature points, located once in the tissue."""
+def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> Fibres:
+    """Embed the muscles: their own quadrature points, located once in the tissue.
+
+    They are those of the measured head where there is one, carried to the shape at rest.
+    """
     parts = []
-    half = head.half or head
+    source = measured or head
+    half = source.half or source
     for index, muscle in enumerate(half.muscles.values()):
         rule = muscle.quadrature()
         place = half.tissue.locate(rule.points)
@@ -209,8 +212,10 @@ def fibres(head: Head, settings: FaceSettings) -> Fibres:
     slacks = {name: muscle.slack for name, muscle in head.muscles.items()}
     law = FibreLaw(sigma_max=settings.sigma_max)
     quadrature = FibreQuadrature.concatenate(parts)
-    if head.half is not None:
-        quadrature = both_sides(quadrature, head.half)
+    if source.half is not None:
+        quadrature = both_sides(quadrature, source.half)
+    if measured is not None:
+        quadrature = quadrature.carried(measured.tissue, head.tissue)
     return Fibres(head.tissue, quadrature, list(head.muscles), law, slacks)
 
 
@@ -250,11 +255,11 @@ def _springs(head: Head) -> Iterator[Springs]:
 
 
 def _deep_contacts(
-    head: Head, settings: FaceSettings, touching: HermiteMesh | None = None
+    head: Head, settings: FaceSettings, measured: Head | None
 ) -> Iterator[RigidContact]:
     """Put the inner surface against every deep structure that it may reach."""
     elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
-    points = (touching or head.tissue).evaluate(elements, xi)
+    points = (measured or head).tissue.evaluate(elements, xi)
     free = _vestibule(head, points)
     for name, grid in _bodies(head).items():
         surface = MirroredDistance(grid, head.midplane)
@@ -273,7 +278,7 @@ def _deep_contacts(
             slide=settings.slide * slides,
             name=f"contact with {name}",
             motion=_motion(head.jaw, FOLLOWERS.get(name, 0.0)),
-            touching=touching,
+            touching=None if measured is None else measured.tissue,
         )
 
 

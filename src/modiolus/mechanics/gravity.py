@@ -12,7 +12,7 @@ finds it, where x(X) is the equilibrium of the reference shape X under the weigh
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,8 @@ SUPINE = (0.0, 1.0, 0.0)
 UPRIGHT = (0.0, 0.0, -1.0)
 #: The weight's load.
 LOAD = Load(forces={"weight": 1.0})
+#: The rounds repeat what the continuation leaves open.
+TIGHT = Settings(tolerance=2e-5)
 #: Rounds after which the fixed point is given up.
 MOST_ROUNDS = 15
 
@@ -125,6 +127,34 @@ def unloaded(
     )
 
 
+def heavy_face(
+    head: Head,
+    shape: HermiteMesh,
+    direction: tuple[float, float, float],
+    density: float = DENSITY,
+    settings: FaceSettings | None = None,
+) -> Problem:
+    """Return the problem of a head's face whose tissue at rest has another shape, with weight.
+
+    Deep structures are where they were measured: the tissue touches them without force in the
+    shape of `head`. Springs, and lips and lids against each other, are at rest in `shape`.
+
+    Parameters
+    ----------
+    head : Head
+        As measured.
+    shape : HermiteMesh
+        Its tissue without gravity.
+    direction : (3,)
+        Unit direction of gravity.
+    density : float
+        In kg/m³.
+    settings : FaceSettings, optional
+    """
+    load = DeadForces.body(shape, weight(direction, density))
+    return face_problem(replace(head, tissue=shape), settings, terms=[load], measured=head)
+
+
 @dataclass(frozen=True)
 class Upright:
     """A head measured lying on its back, and the same standing.
@@ -170,14 +200,15 @@ def upright(
     settings : FaceSettings, optional
     report : callable, optional
     """
-
-    def build(shape: HermiteMesh, direction: tuple[float, float, float] = SUPINE) -> Problem:
-        there = moved_head(head, shape.parameters)
-        load = DeadForces.body(there.tissue, weight(direction, density))
-        return face_problem(there, settings, terms=[load])
-
-    free = unloaded(build, head.tissue, tolerance, report=report)
-    state = Continuation(build(free.mesh, UPRIGHT)).run(LOAD)
+    free = unloaded(
+        lambda shape: heavy_face(head, shape, SUPINE, density, settings),
+        head.tissue,
+        tolerance,
+        TIGHT,
+        report,
+    )
+    problem = heavy_face(head, free.mesh, UPRIGHT, density, settings)
+    state = Continuation(problem, settings=TIGHT).run(LOAD)
     return Upright(
         head,
         moved_head(head, free.mesh.parameters),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -213,6 +213,20 @@ class FibreQuadrature:
             self.weights[points],
             self.directions[points],
             self.muscles[points],
+        )
+
+    def carried(self, before: HermiteMesh, after: HermiteMesh) -> FibreQuadrature:
+        """Return the points as they are when the tissue at rest has another shape.
+
+        Volumes become J times and directions F times what they were, of unit length.
+        """
+        old = before.jacobian(self.elements, self.xi)
+        gradient = after.jacobian(self.elements, self.xi) @ np.linalg.inv(old)
+        directions = (gradient @ self.directions[:, :, None])[:, :, 0]
+        return replace(
+            self,
+            weights=self.weights * np.linalg.det(gradient),
+            directions=directions / np.linalg.norm(directions, axis=1, keepdims=True),
         )
 
 

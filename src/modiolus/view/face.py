@@ -43,7 +43,13 @@ def face_camera(scene: FaceScene, rest: Floats, view: str, zoom: float = 1.0) ->
 
 
 def draw_face(
-    scene: FaceScene, rest: Floats, moved: Floats, heading: str, path: Path, jaw: float = 0.0
+    scene: FaceScene,
+    rest: Floats,
+    moved: Floats,
+    heading: str,
+    path: Path,
+    jaw: float = 0.0,
+    titles: tuple[str, str] = ("neutral", "contracted"),
 ) -> None:
     """Draw a face at rest and in a state, and how far its skin has moved; write a PNG.
 
@@ -58,12 +64,14 @@ def draw_face(
         The file to write.
     jaw : float
         Angle in radians by which the jaw is open in the state.
+    titles : (str, str)
+        What the face is called at rest and in the state.
     """
     distance = scene.displacement(moved)
     scale = Scale("displacement (mm)", 0.0, _round_up(float(distance.max())))
     looks = [
-        ("neutral", scene.shapes(rest), None),
-        ("contracted", scene.shapes(moved, jaw=jaw), None),
+        (titles[0], scene.shapes(rest), None),
+        (titles[1], scene.shapes(moved, jaw=jaw), None),
         ("displacement", scene.shapes(moved, scale.colours(distance), jaw), scale),
     ]
     panels = [

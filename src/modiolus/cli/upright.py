@@ -1,0 +1,128 @@
+"""``modiolus upright``: a head measured lying down, standing."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.outputs import whole_folder
+from modiolus.errors import InputError
+from modiolus.progress import Progress
+
+if TYPE_CHECKING:
+    from modiolus.face.head import Head
+
+
+@app.command(epilog="Example: modiolus upright taro --out heads/taro-upright")
+def upright(
+    head: Annotated[
+        str,
+        typer.Argument(
+            metavar="HEAD", help="A shipped head or a folder with one, measured lying face up."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the head.")] = Path(
+        "head"
+    ),
+    density: Annotated[
+        float, typer.Option(metavar="KG/M3", help="Density of the tissue.")
+    ] = 1040.0,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            metavar="MM", help="How near the equilibrium lying has to come to the given shape."
+        ),
+    ] = 0.02,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a head that was measured lying face up upright and write it into the folder DIR.
+
+    The shape without gravity is found whose equilibrium lying is the given shape; then it is
+    loaded standing. Muscles and attachments follow. The head is called what the folder is called.
+    """
+    began = time.perf_counter()
+    if not 0.0 < density <= 20000.0:
+        raise InputError(f"--density {density:g}: not within 0 to 20000 kg/m³; give one that is")
+    if not 1e-4 <= tolerance <= 1.0:
+        raise InputError(f"--tolerance {tolerance:g}: not within 0.0001 to 1 mm; give one that is")
+    from modiolus.export.scene import FaceScene
+    from modiolus.face.head import Head
+    from modiolus.mechanics.gravity import upright as turned
+    from modiolus.view.face import draw_face
+
+    source = Head.load(head)
+    name = out.absolute().name
+    with whole_folder(out, marker="head.toml") as folder:
+        with Progress(f"turning {source.name} upright", quiet=quiet) as progress:
+            found = turned(source, density, tolerance, report=progress.update)
+        about = dict(source.about)
+        change = f"turned upright from lying face up, density {density:g} kg/m³"
+        about["changes"] = f"{about.get('changes', '')}; {change}".lstrip("; ")
+        about["upright_of"] = source.name
+        standing = replace(found.head, name=name, about=about)
+        standing.save(folder)
+        draw_face(
+            FaceScene(source),
+            source.tissue.parameters,
+            standing.tissue.parameters,
+            f"{source.name}, lying as measured and upright",
+            folder / "upright.png",
+            titles=("lying", "upright"),
+        )
+        landmarks = moves(source, found.free, standing)
+        record: dict[str, Any] = {
+            "head": name,
+            "upright_of": source.name,
+            "density": density,
+            "rounds_mm": [round(gap, 5) for gap in found.gaps],
+            "J_min": found.state.statistics.J_min,
+            "J_max": found.state.statistics.J_max,
+            "max_penetration_mm": found.state.statistics.max_penetration_mm,
+            "greatest_move_mm": round(greatest(source, standing), 4),
+            "landmarks": landmarks,
+            "wall_s": round(time.perf_counter() - began, 3),
+            "files": {
+                "folder": str(out),
+                "picture": str(out / "upright.png"),
+                "report": str(out / "report.json"),
+            },
+        }
+        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+    far = max(landmarks, key=lambda key: float(np.linalg.norm(landmarks[key]["upright"])))
+    text = (
+        f"{name}: {len(found.gaps)} rounds, equilibrium lying within {found.gaps[-1]:.3f} mm of "
+        f"{source.name}; upright the skin moves {record['greatest_move_mm']:.1f} mm at most, "
+        f"{far} {np.linalg.norm(landmarks[far]['upright']):.1f} mm\n"
+        f"Picture: {record['files']['picture']}\nHead:    {out}\n"
+        f"Use it with: modiolus simulate smile-closed --head {out}"
+    )
+    show(record, text, as_json, quiet)
+
+
+def greatest(source: Head, standing: Head) -> float:
+    """Return how far the skin moves at most (mm)."""
+    elements, axis, side = source.sides["outer"]
+    skin = source.tissue.face(elements, axis, side)
+    places, xi, _ = skin.gauss_points(4)
+    gap = skin.functions(places, xi) @ (standing.tissue.parameters - source.tissue.parameters)
+    return float(np.linalg.norm(gap, axis=1).max())
+
+
+def moves(source: Head, free: Head, standing: Head) -> dict[str, dict[str, list[float]]]:
+    """Return how far the landmarks move from lying to no gravity, and to standing (mm)."""
+    lying, loose, up = (item.landmark_points() for item in (source, free, standing))
+    return {
+        name: {
+            "without_gravity": np.round(loose[name] - point, 4).tolist(),
+            "upright": np.round(up[name] - point, 4).tolist(),
+        }
+        for name, point in lying.items()
+    }
