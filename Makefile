@@ -2,7 +2,8 @@
 #   make demo      a closed-mouth smile on the shipped head, into out/
 #   make test      the quick tests (a few minutes); test-all runs the slow ones too
 #   make lint      style and types
-#   make bench     times of assembly, factorisation and a whole solve
+#   make bench     times of assembly, factorisation and whole expressions
+#   make peers     the same problems in other programs, side by side
 #   make docs      the documentation, into docs/_build/html
 
 PYTHON ?= python3
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint bench docs clean
+.PHONY: help demo test test-all lint bench peers docs clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -53,7 +54,10 @@ lint: $(VENV)/.installed-dev
 	@$(BIN)/mypy
 
 bench: $(VENV)/.installed-core
-	@$(BIN)/python benchmarks/assembly.py
+	@$(BIN)/modiolus bench
+
+peers: $(VENV)/.installed-core
+	@$(BIN)/python benchmarks/peers/run.py
 
 docs: $(VENV)/.installed-docs
 	@$(BIN)/sphinx-build --fail-on-warning --keep-going -q -b html docs docs/_build/html
