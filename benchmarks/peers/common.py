@@ -204,10 +204,8 @@ CONVERGED = {"land": 3.168, "muscle": -4.667}
 
 #: Every program solves on all of these, so that each can show the mesh that suits it best.
 MESHES: dict[str, list[Mesh]] = {
-    "land": [((n, 1, 1), g) for g in (5.0, 10.0, 20.0) for n in (3, 4, 5, 6, 8)]
-    + [((n, 2, 2), 10.0) for n in (8, 12)],
-    "muscle": [((n, 1, 2), g) for g in (2.0, 5.0) for n in (2, 3, 4, 5, 6, 8)]
-    + [((n, 2, 2), 5.0) for n in (8, 12)],
+    "land": [((n, 1, 1), g) for g in (5.0, 10.0) for n in (3, 4, 5, 6)] + [((8, 2, 2), 10.0)],
+    "muscle": [((n, 1, 2), 5.0) for n in (2, 3, 4, 5, 6)] + [((8, 2, 2), 5.0)],
 }
 
 
@@ -217,7 +215,7 @@ def measure(
     """Solve a case on every mesh and print one JSON object a line.
 
     What is compiled or read only once is left out: the first mesh is solved once before. The
-    better of two times counts.
+    best of three times counts.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("case", choices=CASES)
@@ -225,13 +223,14 @@ def measure(
     solve(case, MESHES[case][0])
     for mesh in MESHES[case]:
         record: dict[str, object] = {"mesh": mesh[0], "growth": mesh[1], "versions": versions}
-        seconds = []
+        seconds, processor = [], []
         try:
-            for _ in range(2):
-                began = time.perf_counter()
+            for _ in range(3):
+                began, busy = time.perf_counter(), time.process_time()
                 answer = solve(case, mesh)
                 seconds.append(time.perf_counter() - began)
-            record |= asdict(answer) | {"seconds": min(seconds)}
+                processor.append(time.process_time() - busy)
+            record |= asdict(answer) | {"seconds": min(seconds), "processor": min(processor)}
         except DivergedError:
             record |= {"tip": None}
         if speak:

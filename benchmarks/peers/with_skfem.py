@@ -1,7 +1,7 @@
 """scikit-fem: quadratic hexahedra with a linear continuous pressure, PARDISO.
 
 Element matrices are products of the arrays of the basis. Its forms, which are called for every
-pair of functions, took fifty times as long on these small meshes.
+pair of functions, took about eight times as long on these small meshes.
 """
 
 from __future__ import annotations
