@@ -295,10 +295,10 @@ class Muscle:
         nodes = self.mesh.parameters.reshape(-1, 8, 3)
         step = 1e-2
         bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
-        moved: dict[tuple[int, ...], np.ndarray] = {}
-        for place in np.ndindex(3, 3, 3):
-            powers = np.prod((step * (np.array(place) - 1.0)) ** bits, axis=1)
-            moved[place] = np.asarray(mapping(np.einsum("k,nkd->nd", powers, nodes)), dtype=float)
+        around = np.stack(np.meshgrid(*[step * np.arange(-1.0, 2.0)] * 3, indexing="ij"), axis=-1)
+        powers = np.prod(around[..., None, :] ** bits, axis=-1)
+        points = np.einsum("abck,nkd->abcnd", powers, nodes)
+        moved = np.asarray(mapping(points.reshape(-1, 3)), dtype=float).reshape(points.shape)
         parameters = np.empty_like(nodes)
         for kind in range(8):
             axes = [k for k in range(3) if bits[kind, k]]
