@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh, grid, linear
 from modiolus.hermite.ex import write_ex
 from modiolus.hermite.exread import read_ex
+from modiolus.scans.result import save_state
 
 RNG = np.random.default_rng(4)
 #: Zinc and we evaluate the same polynomial in another order of operations (mm).
@@ -229,6 +232,49 @@ def evaluated(
         assert done == 1
         out.append(values)
     return np.array(out)
+
+
+# The command
+
+
+@pytest.mark.parametrize("sides", ["half", "whole"])
+def test_a_result_is_exported_with_its_muscles(
+    tmp_path: Path, head: Head, sides: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen = head if sides == "half" else head.whole
+    turn = np.array([[1.0, 0.02, 0.0], [0.0, 0.97, 0.01], [0.0, 0.0, 1.05]])
+    state = chosen.tissue.parameters @ turn.T
+    (tmp_path / "run").mkdir()
+    pressure = np.zeros(len(chosen.tissue.corner_nodes()[1]))
+    save_state(tmp_path / "run/state.npz", "test", head, "taro", state, pressure, {}, 0.0)
+    with pytest.raises(SystemExit) as left:
+        main(["export", str(tmp_path / "run"), "--ex", str(tmp_path / "ex"), "--json"])
+    assert left.value.code == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["muscles"] == list(chosen.muscles)
+    tissue, muscles = (read_ex(record["files"][part]) for part in ("tissue", "muscles"))
+    places = samples(chosen.tissue)
+    seen = tissue.fields["deformed"].evaluate(*places)
+    assert np.allclose(seen, chosen.tissue.functions(*places) @ state, atol=1e-9)
+    assert list(muscles.groups) == list(chosen.muscles)
+    assert not set(tissue.identifiers) & set(muscles.identifiers)
+    # The tissue has been turned and stretched evenly, and its muscles with it.
+    elements, xi = samples(muscles.mesh)
+    rest = muscles.mesh.evaluate(elements, xi)
+    inside = chosen.tissue.locate(rest).distance < 1e-6
+    moved = muscles.fields["deformed"].evaluate(elements, xi)
+    # Where a muscle leaves the tissue it goes with the nearest point.
+    gap = np.linalg.norm(moved - rest @ turn.T, axis=1)
+    assert inside.mean() > 0.8
+    assert np.median(gap[inside]) < 1e-4
+    assert "CC" in (tmp_path / "ex/LICENSE").read_text()
+
+
+def test_the_command_says_what_it_lacks(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["export", "taro"])
+    assert left.value.code == 2
+    assert "--ex" in capsys.readouterr().err
 
 
 # What is damaged
