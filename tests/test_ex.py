@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -339,6 +340,23 @@ def test_wrong_counts_and_forms_are_told(tmp_path: Path, old: str, new: str, sai
     with pytest.raises(InputError, match=said) as error:
         read_ex(path)
     one_line(error.value, "mesh.exf")
+
+
+def test_names_without_end_are_refused_at_once(tmp_path: Path) -> None:
+    """A small file that would unpack to twenty million values."""
+    path = tmp_path / "bomb.exf"
+    names = "value(1024)," * 20_000 + "value"
+    path.write_text(
+        "EX Version: 2\n!#nodeset nodes\nShape. Dimension=0\n#Fields=1\n"
+        f"1) a, field, real, #Components=1\n x. #Values=3 ({names})\nNode: 1\n"
+    )
+    tracemalloc.start()
+    with pytest.raises(InputError, match="more than 1024 values") as error:
+        read_ex(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    one_line(error.value, "bomb.exf")
+    assert peak < 20e6
 
 
 def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -338,6 +338,8 @@ class _Reader:
                 if found is None:
                     raise _Damaged(f"not a value's name: {item[:30]!r}")
                 layout += [(found[1], v + 1) for v in range(_count(found[2] or "1"))]
+                if len(layout) > MOST:
+                    raise _Damaged(f"more than {MOST} values of one component")
             if len(layout) != _count(new[1]):
                 raise _Damaged(f"{new[1]} values announced, {len(layout)} named")
             return layout
