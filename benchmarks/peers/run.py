@@ -87,7 +87,7 @@ class Program:
 
 PROGRAMS = (
     Program("modiolus", "with_modiolus.py", "modiolus"),
-    Program("FElupe", "with_felupe.py", "felupe", ("felupe>=11.3", "pypardiso>=0.4.7", "einsumt")),
+    Program("FElupe", "with_felupe.py", "felupe", ("felupe>=11.3", "pypardiso>=0.4.7")),
     Program("scikit-fem", "with_skfem.py", "skfem", ("scikit-fem>=12.0", "pypardiso>=0.4.7")),
     Program("DOLFINx", "with_dolfinx.py", "dolfinx"),
     Program("DOLFINx, 2 processes", "with_dolfinx.py", "dolfinx", processes=2),
