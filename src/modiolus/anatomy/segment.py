@@ -51,8 +51,9 @@ _BIAS_SPACING, _BIAS_ITERATIONS = 4.0, (30, 30, 20)
 _BALL, _RECESS = 6.0, 4.0
 #: Radius (mm) of the opening that cuts ghosts and coils off the head.
 _BRIDGE = 1.5
-#: Depths (mm) between which tissue and air are measured, and the width of the local means.
-_TISSUE, _AIR, _LOCAL = (1.0, 4.0), (3.0, 7.0), 6.0
+#: Depths (mm) between which tissue, at last only its outermost part (mm or voxels, whichever is
+#: more), and air are measured, and the width of the local means.
+_TISSUE, _DERMIS, _AIR, _LOCAL = (1.0, 4.0), (1.2, 2.3), (3.0, 7.0), 6.0
 #: Standard deviation (mm) of the smoothing before the surface, at least and in voxels.
 _SMOOTH, _SMOOTH_VOXELS = 0.5, 0.5
 #: Distance (mm) from the skin beyond which the image no longer decides.
@@ -133,7 +134,8 @@ def segment_skin(image: Image, tell: Progress | None = None) -> Segmentation:
     tell(0.6, "local level")
     head = _enlarged(head.astype(np.float32), factors, values.shape) > 0.5
     smooth = _smoothed(image, values)
-    relative = _relative(image, smooth, head)
+    voxel = max(1.0, float(image.spacing.max()))
+    relative = _relative(image, smooth, head, (_DERMIS[0] * voxel, _DERMIS[1] * voxel))
     head = _head(image, relative > 0.0, near=head)
     air, noise = _air(image, values, head)
     inside = head & (_depth(image, head) < _TISSUE[1])
@@ -332,10 +334,13 @@ def _local_mean(image: Image, values: Floats, where: Bools, otherwise: float) ->
     return np.asarray((total + 1e-3 * otherwise) / (weight + 1e-3), dtype=np.float32)
 
 
-def _relative(image: Image, smooth: Floats, head: Bools) -> Floats:
+def _relative(
+    image: Image, smooth: Floats, head: Bools, depths: tuple[float, float] = _TISSUE
+) -> Floats:
     """Return the image relative to local air and tissue: -1/2 in air, 1/2 in tissue."""
     below, above = _depth(image, head), _depth(image, ~head)
-    shell = (below > _TISSUE[0]) & (below < _TISSUE[1])
+    # The outermost voxels are filled in part, and far beneath the dermis fat is brighter than it.
+    shell = (below > depths[0]) & (below < depths[1])
     around = (above > _AIR[0]) & (above < _AIR[1])
     if not (shell.any() and around.any()):
         raise InputError(f"{image.name}: no air around a head in it; give a whole head")

@@ -81,8 +81,8 @@ def find_face(found: Segmentation, head: Head) -> FaceShown | None:
     xi = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
     elements = np.repeat(np.arange(skin.mesh.n_elements), len(xi))
     left = skin.mesh.evaluate(elements, np.tile(xi, (skin.mesh.n_elements, 1)))
-    # Margins turn inwards, where an image sees nothing.
-    outer = skin.side[elements] == 0
+    # Margins turn inwards, where an image sees nothing; their elements follow the others.
+    outer = elements < len(head.sides["outer"][0])
     samples = np.vstack([left[outer], head.mirror(left[outer])])
     region = np.tile(skin.region[elements[outer]], 2)
     template = skin.surface(head.tissue.parameters)

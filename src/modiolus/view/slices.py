@@ -95,8 +95,8 @@ def _section(vertices: Array, faces: NDArray[np.int64], axis: int, at: float) ->
     for a, b in ((0, 1), (1, 2), (2, 0)):
         one, two = met[:, a], met[:, b]
         crossed = above[one] != above[two]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = (height[one] / (height[one] - height[two]))[:, None]
+        drop = np.where(crossed, height[one] - height[two], 1.0)
+        share = (height[one] / drop)[:, None]
         point = vertices[one] + share * (vertices[two] - vertices[one])
         ends.append(np.where(crossed[:, None], point, np.nan))
     edges = np.stack(ends, axis=1)
