@@ -64,7 +64,7 @@ class Settings:
     least_ratio: float = 0.05
     penetration: float = 0.04
     augmentations: int = 4
-    near: float = 1e-3
+    near: float = 2e-2
 
 
 class LoadNotReached(SolveError):
@@ -309,7 +309,9 @@ class Continuation:
                     change = -self.solver.solve(evaluation.residual)
                     size = problem.size(change)
                     self._iterations += 1
-                    found = self._search(current, change, size, load, tolerance)
+                    found = self._search(
+                        current, change, evaluation.residual, size, load, tolerance
+                    )
                     if found is not None:
                         break
                 if not convex:
@@ -342,18 +344,32 @@ class Continuation:
         raise self._fault(f"{settings.max_iterations} iterations were not enough", evaluation)
 
     def _search(
-        self, current: State, change: Array, size: float, load: Load, tolerance: float
+        self,
+        current: State,
+        change: Array,
+        residual: Array,
+        size: float,
+        load: Load,
+        tolerance: float,
     ) -> tuple[Array, Array, Evaluation, Array, bool] | None:
         """Return the first trial along ``change`` that neither crushes nor diverges.
 
         The correction that would follow may be up to three times as long: with contacts
-        and fibres that switch, insisting on descent takes more iterations than it saves.
+        and fibres that switch, insisting on descent takes more iterations than it saves. But a
+        trial that goes far past the point where the forces do no work along the way is taken
+        back to there: where contacts close and open, corrections would go to and fro for ever.
         """
+        moving = change[: self.problem.assembly.n_displacements]
+        start = float(residual[: len(moving)] @ moving)
         factor = 1.0
         while factor > 0.04:
             parameters, pressure = self.problem.add(current, change, factor)
             evaluation = self.problem.evaluate(parameters, pressure, load)
             if evaluation.volume_ratio.min() > self.settings.least_ratio:
+                work = float(evaluation.residual[: len(moving)] @ moving)
+                if start < 0.0 and work > -0.5 * start and factor > 0.2:
+                    factor *= max(start / (start - work), 0.2)
+                    continue
                 following = -self.solver.solve(evaluation.residual)
                 after = self.problem.size(following)
                 if after <= max(3.0 * size, tolerance):
