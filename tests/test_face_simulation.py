@@ -226,8 +226,9 @@ def test_terror_stretches_the_mouth_and_raises_the_brows(head, solve):
     assert moved["inner_brow_left"][2] > 0.0 and moved["outer_brow_left"][2] > 0.0
 
 
-#: The source's nasalis lies on the bridge, above the wing, which its bulging pushes aside.
-ASTRAY = {"nasalis"}
+#: The source's nasalis lies on the bridge, above the wing, which its bulging pushes aside; the
+#: orbital part of orbicularis oculi lifts the cheek by 0.03 mm only.
+ASTRAY = {"nasalis", "orbicularis_oculi_orbital"}
 
 
 @pytest.mark.slow
