@@ -142,7 +142,7 @@ def test_quiet_says_nothing(run):
 @pytest.mark.parametrize("delay", [0.0, 3.0])
 def test_interruption_leaves_nothing(tmp_path, delay):
     process = subprocess.Popen(
-        [sys.executable, "-c", "from modiolus.cli import main; main()", "beam", "--angle", "36"],
+        [sys.executable, "-c", "from modiolus.cli import main; main()", "simulate", "terror"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
