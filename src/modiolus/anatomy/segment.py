@@ -3,9 +3,9 @@
 Air is dark and tissue is not; what stands between this and a surface are shading by the coil,
 noise, ghosts of the moving eyes and neck, and air inside the head. The steps are
 
-1. the shading is divided out (N4 [1]_, at a coarse resolution);
-2. Otsu's threshold on the logarithm of the image [2]_ tells noise from tissue, and the head begins
-   at a third of the step between the two;
+1. the shading is divided out (N4 [Tustison2010]_, at a coarse resolution);
+2. Otsu's threshold on the logarithm of the image [Otsu1979]_ tells noise from tissue, and the head
+   begins at a third of the step between the two;
 3. the largest connected body is the head. Air that a ball cannot reach from outside is within it,
    so that nostrils and ear canals end in a lid a few millimetres deep;
 4. along the skin the level is half way between the tissue beneath and the air before it, both as
@@ -14,10 +14,10 @@ noise, ghosts of the moving eyes and neck, and air inside the head. The steps ar
 
 References
 ----------
-.. [1] N. J. Tustison et al., "N4ITK: improved N3 bias correction", IEEE Trans. Med. Imaging 29
-   (2010) 1310-1320.
-.. [2] N. Otsu, "A threshold selection method from gray-level histograms", IEEE Trans. Syst. Man
-   Cybern. 9 (1979) 62-66.
+.. [Tustison2010] N. J. Tustison et al., "N4ITK: improved N3 bias correction", IEEE Trans.
+   Med. Imaging 29 (2010) 1310-1320.
+.. [Otsu1979] N. Otsu, "A threshold selection method from gray-level histograms", IEEE Trans.
+   Syst. Man Cybern. 9 (1979) 62-66.
 """
 
 from __future__ import annotations

@@ -2,17 +2,17 @@
 
 The jaw is a rigid body that turns about the axis through both condyles while the condyles glide
 forward and down. At its widest the mouth of 259 adults was open by 32.2° when the condyles had
-gone 14.8 mm [1]_, that is 0.46 mm a degree; the glide begins with the opening [2]_. The path of
-the condyle falls by 32° from the horizontal [3]_.
+gone 14.8 mm [Kordass2014]_, that is 0.46 mm a degree; the glide begins with the opening
+[Mapelli2009]_. The path of the condyle falls by 32° from the horizontal [Johnson1997]_.
 
 References
 ----------
-.. [1] B. Kordaß et al., "Standard and limit values of mandibular condylar and incisal movement
-   capacity", Int. J. Comput. Dent. 17 (2014) 9-20.
-.. [2] A. Mapelli et al., "Translation and rotation movements of the mandible during mouth opening
-   and closing", Clin. Anat. 22 (2009) 311-318.
-.. [3] A. Johnson, R. B. Winstanley, "Recording sagittal condylar angles using a mandibular
-   facebow", J. Oral Rehabil. 24 (1997) 904-908.
+.. [Kordass2014] B. Kordaß et al., "Standard and limit values of mandibular condylar and incisal
+   movement capacity", Int. J. Comput. Dent. 17 (2014) 9-20.
+.. [Mapelli2009] A. Mapelli et al., "Translation and rotation movements of the mandible during
+   mouth opening and closing", Clin. Anat. 22 (2009) 311-318.
+.. [Johnson1997] A. Johnson, R. B. Winstanley, "Recording sagittal condylar angles using a
+   mandibular facebow", J. Oral Rehabil. 24 (1997) 904-908.
 """
 
 from __future__ import annotations
