@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import subprocess
@@ -12,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from modiolus.cli.app import HeadName, Json, Quiet, app, show
+from modiolus.errors import InputError
 from modiolus.progress import Progress
 
 #: Change of every activation that a warm start has to follow.
@@ -22,7 +24,10 @@ WARM = 0.9
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[EXPRESSION]...", help="All shipped expressions by default."),
+        typer.Argument(
+            metavar="[EXPRESSION]...",
+            help="By default the shipped ones that are alike on both sides.",
+        ),
     ] = None,
     head: HeadName = "taro",
     as_json: Json = False,
@@ -34,7 +39,11 @@ def bench(
     """
     from modiolus.face.expression import Expression, expression_names, resolve
 
-    chosen = [Expression.named(name) for name in names or expression_names()]
+    every = [Expression.named(name) for name in names or expression_names()]
+    sided = [e.name for e in every if any(m.endswith(("_left", "_right")) for m in e.activations)]
+    if names and sided:
+        raise InputError(f"{sided[0]}: differs left and right; name an expression that does not")
+    chosen = [expression for expression in every if expression.name not in sided]
     record: dict[str, Any] = {"machine": _machine(), "seconds": {}, "expressions": {}}
     seconds = record["seconds"]
     with Progress("measuring", total=len(chosen) + 2, quiet=quiet) as progress:
@@ -43,7 +52,7 @@ def bench(
         seconds["import of the mechanics"] = _fresh("import modiolus.mechanics.face")
         from modiolus.face.head import Head
         from modiolus.mechanics import Continuation
-        from modiolus.mechanics.face import face_problem
+        from modiolus.mechanics.face import face_load, face_problem
         from modiolus.mechanics.timing import least, parts
 
         progress.update(1, "set-up")
@@ -61,8 +70,10 @@ def bench(
             progress.update(2 + done, expression.name)
             activations = resolve(expression.activations, model.muscles)
             path = Continuation(problem)
-            cold = path.run(problem.load(activations))
-            warm = path.run(problem.load({k: WARM * v for k, v in activations.items()}))
+            jaw = math.radians(expression.jaw_open)
+            cold = path.run(face_load(problem, model, activations, jaw))
+            less = {muscle: WARM * value for muscle, value in activations.items()}
+            warm = path.run(face_load(problem, model, less, jaw))
             record["expressions"][expression.name] = {
                 "cold_s": cold.statistics.solve_s,
                 "iterations": cold.statistics.newton_iterations,
