@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from modiolus.cli.run import Runner
+from modiolus.export.scene import FaceScene
 from modiolus.face.expression import Expression, resolve
 from modiolus.face.head import Head
 from modiolus.face.jaw import opening
@@ -11,6 +14,22 @@ from modiolus.view.figure import Panel, figure
 from modiolus.view.muscles import draw_muscles
 
 IMAGES = Path(__file__).parent / "images"
+
+
+def _draw_states(
+    scene: FaceScene, rest: np.ndarray, states: list[tuple[str, np.ndarray, float]], path: Path
+) -> None:
+    """Draw states (title, parameters, jaw) beside each other, from the front and the side."""
+    panels = [
+        Panel(
+            face_camera(scene, rest, view),
+            scene.shapes(moved, jaw=jaw),
+            title=title if view == "front" else "",
+        )
+        for view in VIEWS
+        for title, moved, jaw in states
+    ]
+    figure(panels, path, columns=len(states), panel_size=(360, 420))
 
 
 def draw_expressions(head: Head, names: list[str]) -> None:
@@ -23,16 +42,7 @@ def draw_expressions(head: Head, names: list[str]) -> None:
         activations = resolve(expression.activations, head.muscles)
         state = runner.solve(name, activations, opening(expression.jaw_open))
         states.append((expression.title, state.parameters, state.load.jaw))
-    panels = [
-        Panel(
-            face_camera(runner.scene, rest, view),
-            runner.scene.shapes(moved, jaw=jaw),
-            title=title if view == "front" else "",
-        )
-        for view in VIEWS
-        for title, moved, jaw in states
-    ]
-    figure(panels, IMAGES / "expressions.png", columns=len(states), panel_size=(360, 420))
+    _draw_states(runner.scene, rest, states, IMAGES / "expressions.png")
 
 
 def draw_sides_and_jaw(head: Head) -> None:
@@ -50,16 +60,7 @@ def draw_sides_and_jaw(head: Head) -> None:
         activations = resolve(Expression.shipped(name).activations, head.muscles, palsy)
         state = runner.solve(name, activations, opening(degrees))
         states.append((title, state.parameters, state.load.jaw))
-    panels = [
-        Panel(
-            face_camera(runner.scene, rest, view),
-            runner.scene.shapes(moved, jaw=jaw),
-            title=title if view == "front" else "",
-        )
-        for view in VIEWS
-        for title, moved, jaw in states
-    ]
-    figure(panels, IMAGES / "sides-and-jaw.png", columns=len(states), panel_size=(360, 420))
+    _draw_states(runner.scene, rest, states, IMAGES / "sides-and-jaw.png")
 
 
 if __name__ == "__main__":
