@@ -1,5 +1,6 @@
 """The command line as a person meets it: what it prints, and what it leaves behind."""
 
+import ctypes
 import json
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from modiolus import __version__
 from modiolus.cli import main
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError
+from modiolus.progress import Interruption, Progress
 
 COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head show"]
 COMMANDS += ["compare", "identify", "validate", "morph", "verify", "bench", "converge"]
@@ -159,6 +161,30 @@ def test_interruption_leaves_nothing(tmp_path, delay):
     assert error.splitlines()[-1] == "modiolus: interrupted; nothing was written"
     assert "Traceback" not in error
     assert list(tmp_path.iterdir()) == []
+
+
+def test_lost_interruption_is_raised_again(tmp_path, monkeypatch):
+    lost = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda event: lost.append(event.exc_type))
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    callback = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
+    try:
+        Interruption.listen()
+        with (
+            pytest.raises(KeyboardInterrupt),
+            whole_folder(tmp_path / "run", marker="report.json") as folder,
+        ):
+            (folder / "report.json").write_text("{}")
+            callback()
+        assert lost == [KeyboardInterrupt]
+        assert list(tmp_path.iterdir()) == []
+        with pytest.raises(KeyboardInterrupt), Progress("solving", quiet=True) as progress:
+            progress.update(0.5)
+        Interruption.listen()
+        Interruption.check()
+    finally:
+        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+            signal.signal(number, handler)
 
 
 def test_whole_folder_appears_at_the_end(tmp_path):

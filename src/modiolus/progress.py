@@ -1,13 +1,44 @@
-"""Progress of long work, shown on standard error with the time left."""
+"""Progress of long work, shown on standard error with the time left, and its interruption."""
 
+import signal
 import sys
 import time
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Self, TextIO
 
-__all__ = ["Progress"]
+__all__ = ["Interruption", "Progress"]
 
 _SECONDS_BETWEEN_LINES = 5.0
+
+
+class Interruption:
+    """Ctrl-C or a polite kill, which ends the work even where its exception gets lost.
+
+    Python drops an exception that is raised while a C library calls back, as compilers of kernels
+    and solvers do; so the request is kept, and `check` raises it again.
+    """
+
+    _asked = False
+
+    @classmethod
+    def listen(cls) -> None:
+        """Answer SIGINT and SIGTERM from now on."""
+        cls._asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # A shell starts what it puts into the background with SIGINT ignored.
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, cls._answer)
+
+    @classmethod
+    def _answer(cls, number: int, frame: FrameType | None) -> None:
+        cls._asked = True
+        raise KeyboardInterrupt
+
+    @classmethod
+    def check(cls) -> None:
+        """Raise `KeyboardInterrupt` if an interruption was asked for."""
+        if cls._asked:
+            raise KeyboardInterrupt
 
 
 class Progress:
@@ -54,7 +85,13 @@ class Progress:
             Work done so far, in the unit of `total`.
         message : str
             A few words on what happens now.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If an interruption was asked for and got lost on the way.
         """
+        Interruption.check()
         now = time.monotonic()
         pause = 0.1 if self._terminal else _SECONDS_BETWEEN_LINES
         if self.quiet or (now - self._shown < pause and done < self.total):

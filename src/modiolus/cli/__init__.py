@@ -9,9 +9,7 @@ why and what to do) and 130 after an interruption. Outputs appear whole or not a
 from __future__ import annotations
 
 import os
-import signal
 import sys
-from types import FrameType
 
 __all__ = ["main"]
 
@@ -35,9 +33,10 @@ def _run(arguments: list[str]) -> int:
 
     from modiolus.cli.app import app
     from modiolus.errors import InputError, SolveError
+    from modiolus.progress import Interruption
 
     # A polite kill ends like Ctrl-C: everything half-written is removed on the way out.
-    signal.signal(signal.SIGTERM, _interrupt)
+    Interruption.listen()
     try:
         code = app(arguments, prog_name="modiolus", standalone_mode=False)
     except (KeyboardInterrupt, Abort):
@@ -68,10 +67,6 @@ def _run(arguments: list[str]) -> int:
     if code == _INTERRUPTED:
         return _say("interrupted; nothing was written", code)
     return code if isinstance(code, int) else 0
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _one_line(error: Exception) -> str:

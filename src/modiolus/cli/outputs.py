@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from modiolus.errors import InputError
+from modiolus.progress import Interruption
 
 __all__ = ["whole_folder"]
 
@@ -58,6 +59,7 @@ def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[P
         ) from None
     try:
         yield draft
+        Interruption.check()
         old = target.parent / f".{target.name}.{os.getpid()}.old"
         if target.exists():
             target.rename(old)
