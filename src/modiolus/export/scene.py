@@ -28,6 +28,7 @@ _DEEP = {"teeth": (0.94, 0.91, 0.84), "gums": (0.78, 0.45, 0.45)}
 #: Angles about the line of sight at which the colour of an eye changes: pupil, iris, rim, white.
 _EYE_RINGS = ((0.17, (0.03, 0.03, 0.03)), (0.46, (0.33, 0.22, 0.14)), (0.50, (0.17, 0.12, 0.09)))
 _EYE_WHITE = (0.95, 0.94, 0.92)
+_CONJUNCTIVA = (0.62, 0.33, 0.31)
 #: Half the height of an eyebrow in mm, at its inner and at its outer end.
 _BROW_HEIGHTS = (4.0, 1.4)
 
@@ -228,10 +229,41 @@ def _eyes(head: Head) -> list[Shape]:
     solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
     centre = solution[:3]
     radius = float(np.sqrt(solution[3] + centre @ centre))
+    socket = _socket(centre, radius, head.midplane)
     return [
         eye(centre, radius, "eye_left"),
         eye(head.mirror(centre), radius, "eye_right"),
+        socket,
+        replace(
+            socket,
+            vertices=head.mirror(socket.vertices),
+            faces=socket.faces[:, ::-1],
+            name="socket_right",
+        ),
     ]
+
+
+def _socket(centre: Floats, radius: float, midplane: float) -> Shape:
+    """Return what shows beside the left eyeball in the corners of the lids: a collar around it.
+
+    It runs back, less so towards the nose, where the corner lies in front of it.
+    """
+    turns = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    circle = np.column_stack([np.cos(turns), np.zeros(len(turns)), np.sin(turns)])
+    nasal = 0.5 * (1.0 + np.sign(midplane - centre[0]) * circle[:, :1])
+    back = np.array([0.0, radius, 0.0])
+    inner = centre + 0.9 * radius * circle - 0.4 * back
+    outer = centre + (1.5 + 0.4 * nasal) * radius * circle + (0.8 - 0.7 * nasal) * back
+    here = np.arange(len(turns))
+    beside = np.roll(here, -1)
+    outside, next_outside = here + len(turns), beside + len(turns)
+    faces = np.concatenate(
+        [
+            np.column_stack([here, beside, outside]),
+            np.column_stack([beside, next_outside, outside]),
+        ]
+    )
+    return Shape(np.concatenate([inner, outer]), faces, _CONJUNCTIVA, "socket_left", gloss=0.1)
 
 
 def _mouth(head: Head) -> list[Shape]:
