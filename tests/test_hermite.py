@@ -8,7 +8,9 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modiolus.hermite import HermiteMesh, basis, gauss, grid, linear
+from modiolus.errors import InputError
+from modiolus.hermite import HermiteMesh, assemble, basis, gauss, grid, linear
+from modiolus.hermite.tessellate import tessellate
 
 
 def block(seed: int = 0, shape: tuple[int, int, int] = (4, 3, 2)) -> HermiteMesh:
@@ -16,6 +18,11 @@ def block(seed: int = 0, shape: tuple[int, int, int] = (4, 3, 2)) -> HermiteMesh
     rng = np.random.default_rng(seed)
     points = np.stack(np.meshgrid(*[np.arange(float(n)) for n in shape], indexing="ij"), axis=-1)
     return grid(points + 0.1 * rng.normal(size=points.shape))
+
+
+def bricks() -> HermiteMesh:
+    """Return eight unit cubes."""
+    return grid(np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), axis=-1))
 
 
 def scaled(mesh: HermiteMesh, seed: int = 1) -> HermiteMesh:
@@ -119,8 +126,7 @@ def test_points_of_the_mesh_are_found_again(seed: int) -> None:
 
 
 def test_points_outside_are_said_to_be_outside_with_their_distance() -> None:
-    mesh = grid(np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), axis=-1))
-    found = mesh.locate([[1.0, 1.0, 3.5], [-3.0, 1.0, -4.0], [0.3, 0.4, 0.5]])
+    found = bricks().locate([[1.0, 1.0, 3.5], [-3.0, 1.0, -4.0], [0.3, 0.4, 0.5]])
     assert found.inside.tolist() == [False, False, True]
     assert found.distance == pytest.approx([1.5, 5.0, 0.0], abs=1e-9)
 
@@ -165,3 +171,52 @@ def test_faces_share_the_parameters_of_the_volume() -> None:
 def test_arrays_that_make_no_mesh_are_refused(arguments, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         HermiteMesh(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda mesh: mesh.functions([99_999_999], [[0, 0, 0]]), "elements: 99999999"),
+        (lambda mesh: mesh.evaluate([-1], [[0, 0, 0]]), "elements: -1"),
+        (lambda mesh: mesh.evaluate([0.7], [[0, 0, 0]]), "whole numbers"),
+        (lambda mesh: mesh.face(np.ones(8, dtype=bool), 0, 0), "whole numbers"),
+        (lambda mesh: mesh.evaluate([0, 1], np.zeros((3, 2))), r"xi: shape \(3, 2\)"),
+        (lambda mesh: mesh.evaluate([0, 1], np.zeros((1, 3))), "xi: 1 for 2 elements"),
+        (lambda mesh: mesh.evaluate([0], [[0, 0, np.nan]]), "xi: .*NaN"),
+        (lambda mesh: mesh.evaluate([0], [[0, 0, 0]], (1, 0)), "derivative"),
+        (lambda mesh: mesh.face([0], 3, 0), "axis 3"),
+        (lambda mesh: mesh.face([0], 0, 2), "side 2"),
+        (lambda mesh: mesh.face_parameters([8], 0, 0), "elements: 8"),
+        (lambda mesh: mesh.subset([[0]]), "elements: shape"),
+        (lambda mesh: mesh.refine((2, 2)), "counts"),
+        (lambda mesh: mesh.refine((2, 2, 0)), "counts"),
+        (lambda mesh: mesh.locate(np.zeros((3, 2))), r"points: shape \(3, 2\)"),
+        (lambda mesh: mesh.locate([[0, 0, np.inf]]), "points: .*infinity"),
+        (lambda mesh: mesh.locate([[0, 0, 0]], 0), "candidates"),
+        (lambda mesh: mesh.with_parameters(np.nan * mesh.parameters), "parameters: .*NaN"),
+        (lambda mesh: tessellate(mesh, 0), "divisions"),
+        (lambda mesh: HermiteMesh(3, mesh.parameters, mesh.extraction.tocsc()), "CSR"),
+        (lambda mesh: grid(np.zeros((4, 3, 2))), r"points: shape \(4, 3, 2\)"),
+        (lambda mesh: grid(np.zeros(3)), "no grid"),
+        (lambda mesh: grid(np.zeros((4, 4, 3)), [True]), "periodic"),
+        (lambda mesh: grid(np.zeros((2, 3)), [True]), "3 where it closes"),
+        (lambda mesh: linear(np.zeros((4, 3)), [[0, 1, 2, 4]]), "cells: 4"),
+        (lambda mesh: linear(np.zeros((4, 3)), [[0, 1, 2]]), "give 2, 4 or 8"),
+        (lambda mesh: assemble([[0, 2]], np.zeros((2, 2, 3))), "corners: 2"),
+        (lambda mesh: assemble([[0, 1]], np.zeros((2, 4, 3))), "derivatives: shape"),
+        (lambda mesh: gauss(3, 0), "rule"),
+    ],
+)
+def test_what_does_not_fit_the_mesh_is_refused_in_one_line(call, words: str) -> None:
+    with pytest.raises(InputError, match=words) as error:
+        call(bricks())
+    assert "\n" not in str(error.value) and ";" in str(error.value)
+
+
+def test_a_mesh_keeps_its_own_parameters() -> None:
+    mesh = bricks()
+    moved = mesh.parameters + 1.0
+    other = mesh.with_parameters(moved)
+    moved[:] = 0.0
+    assert np.allclose(other.evaluate([0], [[0, 0, 0]]), 1.0)
+    assert len({mesh, other}) == 2

@@ -15,6 +15,9 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import InputError
+from .check import numbers
+
 Array = NDArray[np.float64]
 
 #: Power-basis coefficients ``[side, derivative, power]`` of the four functions.
@@ -65,9 +68,20 @@ def basis(dim: int, xi: ArrayLike, derivative: Sequence[int] | None = None) -> A
     Returns
     -------
     (n, 4**dim) array
+
+    Raises
+    ------
+    InputError
+        An argument has another shape, or a coordinate is not finite.
     """
-    xi = np.asarray(xi, dtype=float).reshape(-1, dim)
+    if dim not in (1, 2, 3):
+        raise InputError(f"dim: {dim} is not 1, 2 or 3; elements have one of these")
+    xi = numbers("xi", xi, None, dim)
     orders = (0,) * dim if derivative is None else tuple(derivative)
+    if len(orders) != dim or min(orders) < 0:
+        raise InputError(
+            f"derivative: {orders} does not fit; give an order for each of {dim} directions"
+        )
     out = basis_1d(xi[:, 0], orders[0])
     for k in range(1, dim):
         factor = basis_1d(xi[:, k], orders[k])

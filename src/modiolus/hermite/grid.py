@@ -8,7 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import InputError
 from .basis import Array
+from .check import numbers, whole
 from .mesh import HermiteMesh
 
 
@@ -53,11 +55,15 @@ def assemble(corners: ArrayLike, derivatives: ArrayLike) -> HermiteMesh:
         Node of each corner.
     derivatives : (n_nodes, 2**dim, 3) array
         Value and derivatives of each node in the order of the basis.
+
+    Raises
+    ------
+    InputError
+        An array has another shape, a node does not exist, or a derivative is not finite.
     """
-    corners = np.asarray(corners, dtype=np.int64)
-    derivatives = np.asarray(derivatives, dtype=float)
-    kinds = corners.shape[1]
-    dim = kinds.bit_length() - 1
+    corners, dim = _corners("corners", corners, len(np.asarray(derivatives)))
+    kinds = 2**dim
+    derivatives = numbers("derivatives", derivatives, None, kinds, 3)
     columns = (corners[:, :, None] * kinds + np.arange(kinds)).ravel()
     extraction = sp.csr_matrix(
         (np.ones(len(columns)), columns, np.arange(len(columns) + 1)),
@@ -81,13 +87,27 @@ def grid(points: ArrayLike, periodic: Sequence[bool] | None = None) -> HermiteMe
     -------
     HermiteMesh
         Derivatives are centred differences (one-sided at ends).
+
+    Raises
+    ------
+    InputError
+        The points are no such grid, are not finite, or are too few in some direction: two, or
+        three where it closes.
     """
     points = np.asarray(points, dtype=float)
     dim = points.ndim - 1
+    if dim not in (1, 2, 3):
+        raise InputError(f"points: shape {points.shape} is no grid; give 1 to 3 axes of points")
+    points = numbers("points", points, *[None] * dim, 3)
     closed = [False] * dim if periodic is None else list(periodic)
-    counts = [n if p else n - 1 for n, p in zip(points.shape[:dim], closed, strict=True)]
-    if min(counts) < 1:
-        raise ValueError(f"points: shape {points.shape} has no element in some direction")
+    if len(closed) != dim:
+        raise InputError(f"periodic: {len(closed)} directions, the grid has {dim}; give each")
+    counts = [n if p else n - 1 for n, p in zip(points.shape, closed, strict=False)]
+    if any(n < (3 if p else 1) for n, p in zip(counts, closed, strict=True)):
+        raise InputError(
+            f"points: shape {points.shape} is too small; give at least 2 points in each direction, "
+            "3 where it closes"
+        )
     nodal = [points]
     for k in range(dim):
         nodal += [differences(field, k, closed[k]) for field in nodal]
@@ -106,12 +126,18 @@ def linear(vertices: ArrayLike, cells: ArrayLike) -> HermiteMesh:
     Parameters
     ----------
     vertices : (n, 3) array
+        In mm.
     cells : (m, 2**dim) int array
         Corners in the order of the basis.
+
+    Raises
+    ------
+    InputError
+        An array has another shape, a vertex does not exist, or one is not finite.
     """
-    cells = np.asarray(cells, dtype=np.int64)
-    kinds = cells.shape[1]
-    dim = kinds.bit_length() - 1
+    vertices = numbers("vertices", vertices, None, 3)
+    cells, dim = _corners("cells", cells, len(vertices))
+    kinds = 2**dim
     operator = np.zeros((kinds * kinds, kinds))
     for corner in range(kinds):
         for kind in range(kinds):
@@ -125,7 +151,15 @@ def linear(vertices: ArrayLike, cells: ArrayLike) -> HermiteMesh:
     rows = np.repeat(np.arange(len(cells) * kinds * kinds), kinds)
     columns = np.repeat(cells, kinds * kinds, axis=0).ravel()
     data = np.tile(operator.ravel(), len(cells))
-    vertices = np.asarray(vertices, dtype=float)
     extraction = sp.csr_matrix((data, (rows, columns)), shape=(rows[-1] + 1, len(vertices)))
     extraction.eliminate_zeros()
     return HermiteMesh(dim, vertices.copy(), extraction)
+
+
+def _corners(name: str, values: ArrayLike, n_nodes: int) -> tuple[NDArray[np.int64], int]:
+    """Check the corners of elements, and tell their dimension from their number."""
+    corners = whole(name, values, n_nodes, ndim=2)
+    dim = {2: 1, 4: 2, 8: 3}.get(corners.shape[1])
+    if dim is None:
+        raise InputError(f"{name}: {corners.shape[1]} in an element; give 2, 4 or 8")
+    return corners, dim

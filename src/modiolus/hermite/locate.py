@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from ..errors import InputError
 from .basis import COEFFICIENTS, Array
+from .check import numbers
 
 if TYPE_CHECKING:
     from .mesh import HermiteMesh
@@ -153,12 +155,23 @@ def _closest_all(  # type: ignore[no-untyped-def]
                 break
 
 
-def locate(mesh: HermiteMesh, points: Array, candidates: int = 6) -> Location:
-    """Find the closest point of ``mesh`` for each of ``points`` (n, 3).
+def locate(mesh: HermiteMesh, points: ArrayLike, candidates: int = 6) -> Location:
+    """Find the closest point of ``mesh`` for each of ``points`` (n, 3) in mm.
 
     The closest of a set of sample points of each element start a projected Gauss-Newton
     search in ``candidates`` different elements at most.
+
+    Raises
+    ------
+    InputError
+        The points have another shape or are not finite, there are no candidates, or the mesh has
+        no elements.
     """
+    points = numbers("points", points, None, 3)
+    if candidates < 1 or not mesh.n_elements:
+        raise InputError(
+            f"candidates: {candidates} of {mesh.n_elements} elements; search at least one"
+        )
     dim = mesh.dim
     ticks = (np.arange(SAMPLES) + 0.5) / SAMPLES
     cell = np.stack([g.ravel() for g in np.meshgrid(*[ticks] * dim, indexing="ij")], axis=1)

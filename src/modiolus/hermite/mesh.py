@@ -10,14 +10,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import InputError
 from .basis import Array, basis
+from .check import numbers, whole
 from .locate import Location, locate
 from .quadrature import Quadrature, gauss
 
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HermiteMesh:
     """Curve, surface or volume mesh of cubic Hermite elements.
 
@@ -33,6 +35,12 @@ class HermiteMesh:
         Nodal values and derivatives in mm.
     extraction : CSR matrix (n_elements * 4**dim, n_params)
         Local parameters = ``extraction @ parameters``.
+
+    Raises
+    ------
+    InputError
+        The arrays do not fit each other, or a parameter is not finite. Every method raises it for
+        elements that do not exist and for local coordinates of another shape.
     """
 
     dim: int
@@ -41,15 +49,17 @@ class HermiteMesh:
 
     def __post_init__(self) -> None:
         if self.dim not in (1, 2, 3):
-            raise ValueError(f"dim: {self.dim} is not 1, 2 or 3")
-        if self.parameters.ndim != 2 or self.parameters.shape[1] != 3:
-            raise ValueError(f"parameters: shape {self.parameters.shape} is not (n, 3)")
+            raise InputError(f"dim: {self.dim} is not 1, 2 or 3; elements have one of these")
+        numbers("parameters", self.parameters, None, 3)
         rows, columns = self.extraction.shape
         if rows % 4**self.dim or columns != len(self.parameters):
-            raise ValueError(
+            raise InputError(
                 f"extraction: shape {self.extraction.shape} does not fit "
-                f"{len(self.parameters)} parameters of dimension {self.dim}"
+                f"{len(self.parameters)} parameters of dimension {self.dim}; give "
+                f"{4**self.dim} rows an element and a column a parameter"
             )
+        if self.extraction.format != "csr":
+            raise InputError(f"extraction: format {self.extraction.format}; convert it to CSR")
 
     @property
     def n_elements(self) -> int:
@@ -66,15 +76,15 @@ class HermiteMesh:
         return np.ascontiguousarray(self.local())
 
     def local(self, parameters: Array | None = None) -> Array:
-        """Return local parameters, (n_elements, 4**dim, components)."""
+        """Return local parameters, (n_elements, 4**dim, components), of (n_params, components)."""
         values = self.parameters if parameters is None else parameters
         return np.asarray(self.extraction @ values).reshape(
             self.n_elements, 4**self.dim, values.shape[1]
         )
 
     def with_parameters(self, parameters: ArrayLike) -> HermiteMesh:
-        """Return the mesh with other parameters, (n_params, 3), and the same extraction."""
-        return replace(self, parameters=np.asarray(parameters, dtype=float))
+        """Return the mesh with a copy of other parameters, (n_params, 3)."""
+        return replace(self, parameters=np.array(parameters, dtype=float))
 
     def functions(
         self, elements: ArrayLike, xi: ArrayLike, derivative: Sequence[int] | None = None
@@ -93,9 +103,8 @@ class HermiteMesh:
         CSR matrix (n, n_params)
             ``functions @ parameters`` are the values, (n, 3).
         """
-        elements = np.asarray(elements, dtype=np.int64)
+        elements, values = self._at(elements, xi, derivative)
         size = 4**self.dim
-        values = basis(self.dim, xi, derivative)
         columns = elements[:, None] * size + np.arange(size)
         local = sp.csr_matrix(
             (values.ravel(), columns.ravel(), np.arange(0, values.size + 1, size)),
@@ -107,9 +116,30 @@ class HermiteMesh:
         self, elements: ArrayLike, xi: ArrayLike, derivative: Sequence[int] | None = None
     ) -> Array:
         """Evaluate position, or a derivative of it, at points of elements; (n, 3)."""
-        elements = np.asarray(elements, dtype=np.int64)
-        functions = basis(self.dim, xi, derivative)
+        elements, functions = self._at(elements, xi, derivative)
         return np.asarray(np.einsum("na,nai->ni", functions, self._local[elements]))
+
+    def _at(
+        self, elements: ArrayLike, xi: ArrayLike, derivative: Sequence[int] | None
+    ) -> tuple[IntArray, Array]:
+        """Return checked elements (n,) and their local functions at xi, (n, 4**dim)."""
+        hosts = whole("elements", elements, self.n_elements)
+        functions = basis(self.dim, xi, derivative)
+        if len(functions) != len(hosts):
+            raise InputError(f"xi: {len(functions)} for {len(hosts)} elements; give one each")
+        return hosts, functions
+
+    def _rows(self, elements: ArrayLike, local: ArrayLike) -> sp.csr_matrix:
+        """Return some local rows of the extraction for each of some elements."""
+        hosts = whole("elements", elements, self.n_elements)
+        return self.extraction[(hosts[:, None] * 4**self.dim + np.asarray(local)).ravel()]
+
+    def _check_side(self, axis: int, side: int) -> None:
+        if axis not in range(self.dim) or side not in (0, 1):
+            raise InputError(
+                f"axis {axis}, side {side}: no side of an element; the axis is less than "
+                f"{self.dim}, the side 0 or 1"
+            )
 
     def jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
         """Return the tangent vectors dx/dxi_k as columns, (n, 3, dim)."""
@@ -118,7 +148,10 @@ class HermiteMesh:
         return np.stack(columns, axis=2)
 
     def scaled_jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
-        """Return the determinant of the normalised tangent vectors of a volume mesh, (n,)."""
+        """Return the determinant of the normalised tangent vectors of a volume mesh, (n,).
+
+        Not a number where an edge has collapsed.
+        """
         tangents = self.jacobian(elements, xi)
         unit = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
         return np.asarray(np.linalg.det(unit))
@@ -133,10 +166,10 @@ class HermiteMesh:
         """Return a Gauss quadrature of all elements with physical weights (mm^dim)."""
         elements, xi, weights = self.gauss_points(n)
         tangents = self.jacobian(elements, xi)
-        gram = np.swapaxes(tangents, 1, 2) @ tangents
         if self.dim == 3:
             measure = np.linalg.det(tangents)
         else:
+            gram = np.swapaxes(tangents, 1, 2) @ tangents
             measure = np.sqrt(np.maximum(np.linalg.det(gram), 0.0))
         return Quadrature(elements, xi, weights * measure)
 
@@ -157,16 +190,16 @@ class HermiteMesh:
         axis, side : int
             The face is where ``xi_axis`` equals ``side``.
         """
+        self._check_side(axis, side)
         corners = [c for c in range(2**self.dim) if (c >> axis) & 1 == side]
         kinds = [d for d in range(2**self.dim) if not (d >> axis) & 1]
-        picked = np.array([c * 2**self.dim + d for c in corners for d in kinds])
-        rows = np.asarray(elements, dtype=np.int64)[:, None] * 4**self.dim + picked
-        return HermiteMesh(self.dim - 1, self.parameters, self.extraction[rows.ravel()])
+        picked = [c * 2**self.dim + d for c in corners for d in kinds]
+        return HermiteMesh(self.dim - 1, self.parameters, self._rows(elements, picked))
 
     def face_parameters(
         self, elements: ArrayLike, axis: int, side: int
     ) -> tuple[IntArray, IntArray]:
-        """Return the parameters that govern a side of some elements of a volume mesh.
+        """Return the parameters that govern a side of some elements.
 
         Parameters
         ----------
@@ -180,24 +213,24 @@ class HermiteMesh:
         across : int array
             Parameters of the derivatives across it.
         """
-        rows = np.asarray(elements, dtype=np.int64)[:, None] * 64
+        self._check_side(axis, side)
+        kinds = 2**self.dim
         found = []
         for crossing in (0, 1):
             local = [
-                corner * 8 + kind
-                for corner in range(8)
+                corner * kinds + kind
+                for corner in range(kinds)
                 if (corner >> axis) & 1 == side
-                for kind in range(8)
+                for kind in range(kinds)
                 if (kind >> axis) & 1 == crossing
             ]
-            part = self.extraction[(rows + np.array(local)).ravel()]
+            part = self._rows(elements, local)
             found.append(np.unique(part.indices[part.data != 0.0]).astype(np.int64))
         return found[0], found[1]
 
     def subset(self, elements: ArrayLike) -> HermiteMesh:
         """Return the mesh of some elements with the parameters that they use."""
-        rows = np.asarray(elements, dtype=np.int64)[:, None] * 4**self.dim
-        picked = self.extraction[(rows + np.arange(4**self.dim)).ravel()]
+        picked = self._rows(elements, np.arange(4**self.dim))
         used = np.unique(picked.indices)
         return HermiteMesh(self.dim, self.parameters[used], picked[:, used])
 
@@ -220,16 +253,21 @@ class HermiteMesh:
         return index.reshape(self.n_elements, -1), where
 
     def locate(self, points: ArrayLike, candidates: int = 6) -> Location:
-        """Find the closest point of the mesh for each of ``points`` (n, 3).
+        """Find the closest point of the mesh for each of ``points`` (n, 3) in mm.
 
-        For a volume ``inside`` says which points lie in an element; for curves and
-        surfaces it says which project to the interior or a shared edge, always with the
-        distance in mm.
+        Parameters
+        ----------
+        points : (n, 3) array
+        candidates : int
+            Elements to search for each point, at most.
         """
-        return locate(self, np.asarray(points, dtype=float).reshape(-1, 3), candidates)
+        return locate(self, points, candidates)
 
     def refine(self, counts: Sequence[int]) -> HermiteMesh:
-        """Split every element into ``counts[k]`` equal parts in direction ``k``, exactly."""
+        """Split every element into ``counts[k]`` equal parts in direction ``k``, exactly.
+
+        See `modiolus.hermite.refine.refine`.
+        """
         from .refine import refine
 
         return refine(self, tuple(counts))

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import InputError
 from .basis import Array
 from .mesh import HermiteMesh
 
@@ -56,13 +57,15 @@ class MirroredMesh:
 
         Raises
         ------
-        ValueError
+        InputError
             The axis is not 0, the face is not in the plane, or a parameter governs both the face
             and the slope across it.
         """
         within, across = half.face_parameters(elements, axis, side)
         if axis != 0 or len(np.intersect1d(within, across)):
-            raise ValueError("the mirror plane must be a face of constant xi1, with its own nodes")
+            raise InputError(
+                "midplane: not a face of constant xi1 with its own nodes; give such a one"
+            )
         n = half.n_params
         apart = np.setdiff1d(np.arange(n), np.concatenate([within, across]))
         # The constant field tells which parameters are positions, whatever the extraction.
@@ -71,7 +74,7 @@ class MirroredMesh:
         values[::8] = 1.0
         ones = np.round(sp.linalg.spsolve(sp.csc_matrix(rows.T @ rows), rows.T @ values), 12)
         if np.abs(rows @ ones - values).max() > 1e-9:
-            raise ValueError("the mesh cannot hold a constant field")
+            raise InputError("extraction: it cannot hold a constant field; mend it")
 
         column = np.arange(n)
         column[apart] = n + np.arange(len(apart))
@@ -92,7 +95,9 @@ class MirroredMesh:
         mirrored = joined.reflect(half.parameters)
         gap = (image[:, :n] @ half.parameters - mirrored)[np.concatenate([within, across])]
         if np.abs(gap).max(initial=0.0) > 1e-9:
-            raise ValueError("the face is not in the mirror plane")
+            raise InputError(
+                f"midplane: the face is not in the mirror plane x = {plane:g} mm; move it"
+            )
         parameters = np.vstack([half.parameters, mirrored[apart]])
         return cls(plane, HermiteMesh(3, parameters, extraction), image, ones)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from .basis import Array
 
 
@@ -19,7 +20,14 @@ def gauss(dim: int, n: int) -> tuple[Array, Array]:
         Points; the first coordinate runs fastest.
     weights : (n**dim,) array
         Weights, which sum to 1.
+
+    Raises
+    ------
+    InputError
+        There is no point or no direction.
     """
+    if dim < 1 or n < 1:
+        raise InputError(f"rule: {n} points a direction in {dim}; give at least one of each")
     nodes, weights = np.polynomial.legendre.leggauss(n)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
     grids = np.meshgrid(*[nodes] * dim, indexing="ij")
@@ -39,7 +47,7 @@ class Quadrature:
     xi : (q, dim) array
         Local coordinates in the host element.
     weights : (q,) array
-        Physical weights in mm^dim.
+        Physical weights in mm^dim; negative where a volume is inside out.
     """
 
     elements: NDArray[np.int64]

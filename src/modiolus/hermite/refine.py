@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from .basis import Array, basis
 
 if TYPE_CHECKING:
@@ -84,14 +85,28 @@ def refine(mesh: HermiteMesh, counts: tuple[int, ...]) -> HermiteMesh:
     them are one and the same functional up to a factor; those share a new parameter.
     That covers scale factors, versions, reversed and rotated directions alike.
 
+    Parameters
+    ----------
+    mesh : HermiteMesh
+    counts : (dim,) tuple of int
+
     Returns
     -------
     HermiteMesh
         Children of element ``e`` are numbered ``e * prod(counts) + i1 + counts[0] * (i2 + ...)``.
+
+    Raises
+    ------
+    InputError
+        The counts are not one for each direction, from 1 up.
     """
     from .mesh import HermiteMesh
 
     dim = mesh.dim
+    if len(counts) != dim or min(counts) < 1:
+        raise InputError(
+            f"counts: {counts} does not fit; give a number from 1 for each of {dim} axes"
+        )
     size = 1.0 / np.array(counts, dtype=float)
     children = [
         child_operator(dim, size * np.array(place[::-1]), size)

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import InputError
 from .basis import Array
 from .mesh import HermiteMesh
 
@@ -72,9 +73,16 @@ def tessellate(mesh: HermiteMesh, n: int, outward: ArrayLike = 1) -> Tessellatio
     -------
     Tessellation
         Cells that have collapsed onto a point or an edge are left out of a surface.
+
+    Raises
+    ------
+    InputError
+        The mesh is a curve, or there is nothing to divide into.
     """
     if mesh.dim not in (2, 3):
-        raise ValueError(f"mesh: dimension {mesh.dim} cannot be tessellated; give a 2 or a 3")
+        raise InputError(f"mesh: dimension {mesh.dim} cannot be tessellated; give a 2 or a 3")
+    if n < 1:
+        raise InputError(f"n: {n} divisions; give at least 1")
     ticks = np.linspace(0.0, 1.0, n + 1)
     lattice = np.stack(np.meshgrid(*[ticks] * mesh.dim, indexing="ij")[::-1], axis=-1)
     local = lattice.reshape(-1, mesh.dim)
