@@ -8,14 +8,13 @@ import pytest
 import scipy.sparse as sp
 
 from modiolus.export import Shape, write_glb, write_vtu
-from modiolus.hermite import HermiteMesh, grid
+from modiolus.hermite import HermiteMesh, bricks, outward
 from modiolus.hermite.tessellate import Mirror, tessellate
 
 
 def block(counts=(3, 2, 1)):
     """A straight block of 30 x 20 x 10 mm."""
-    axes = [np.linspace(0.0, 10.0 * n, n + 1) for n in counts]
-    return grid(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
+    return bricks([np.linspace(0.0, 10.0 * n, n + 1) for n in counts])
 
 
 def volumes(points, hexahedra):
@@ -40,9 +39,7 @@ def test_volume_is_filled_by_hexahedra_with_shared_corners():
 @pytest.mark.parametrize("side", [0, 1])
 def test_faces_of_a_block_look_outwards(axis, side):
     mesh = block((1, 1, 1))
-    outward = (1 if side else -1) * (-1 if axis == 1 else 1)
-    face = mesh.face([0], axis, side)
-    surface = tessellate(face, 4, outward)
+    surface = tessellate(mesh.face([0], axis, side), 4, outward(axis, side))
     triangles = surface.points(mesh.parameters)[surface.cells]
     area = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]).sum(
         axis=0
@@ -50,6 +47,16 @@ def test_faces_of_a_block_look_outwards(axis, side):
     expected = np.zeros(3)
     expected[axis] = 200.0 * (1 if side else -1)
     np.testing.assert_allclose(area, expected, atol=1e-9)
+
+
+def test_sides_are_one_surface_that_looks_outwards():
+    mesh = block((2, 1, 1))
+    sides = [([0, 1], axis, side) for axis in (1, 2) for side in (0, 1)]
+    surface, signs = mesh.boundary([([0], 0, 0), ([1], 0, 1), *sides])
+    closed = tessellate(surface, 2, signs)
+    corners = closed.points(mesh.parameters)[closed.cells]
+    assert np.linalg.det(corners).sum() / 6.0 == pytest.approx(2000.0)
+    assert surface.parameters is mesh.parameters
 
 
 def test_touching_sides_of_a_slit_stay_apart():

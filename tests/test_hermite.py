@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modiolus.errors import InputError
-from modiolus.hermite import HermiteMesh, assemble, basis, gauss, grid, linear
+from modiolus.hermite import HermiteMesh, assemble, basis, bricks, gauss, grid, linear
 from modiolus.hermite.tessellate import tessellate
 
 
@@ -20,9 +20,9 @@ def block(seed: int = 0, shape: tuple[int, int, int] = (4, 3, 2)) -> HermiteMesh
     return grid(points + 0.1 * rng.normal(size=points.shape))
 
 
-def bricks() -> HermiteMesh:
+def cubes() -> HermiteMesh:
     """Return eight unit cubes."""
-    return grid(np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), axis=-1))
+    return bricks([np.arange(3.0)] * 3)
 
 
 def scaled(mesh: HermiteMesh, seed: int = 1) -> HermiteMesh:
@@ -126,7 +126,7 @@ def test_points_of_the_mesh_are_found_again(seed: int) -> None:
 
 
 def test_points_outside_are_said_to_be_outside_with_their_distance() -> None:
-    found = bricks().locate([[1.0, 1.0, 3.5], [-3.0, 1.0, -4.0], [0.3, 0.4, 0.5]])
+    found = cubes().locate([[1.0, 1.0, 3.5], [-3.0, 1.0, -4.0], [0.3, 0.4, 0.5]])
     assert found.inside.tolist() == [False, False, True]
     assert found.distance == pytest.approx([1.5, 5.0, 0.0], abs=1e-9)
 
@@ -200,6 +200,8 @@ def test_arrays_that_make_no_mesh_are_refused(arguments, words: str) -> None:
         (lambda mesh: grid(np.zeros(3)), "no grid"),
         (lambda mesh: grid(np.zeros((4, 4, 3)), [True]), "periodic"),
         (lambda mesh: grid(np.zeros((2, 3)), [True]), "3 where it closes"),
+        (lambda mesh: bricks([[0, 1]] * 2), "ticks"),
+        (lambda mesh: bricks([[0, 1], [0, 2], [1, 0]]), "ticks"),
         (lambda mesh: linear(np.zeros((4, 3)), [[0, 1, 2, 4]]), "cells: 4"),
         (lambda mesh: linear(np.zeros((4, 3)), [[0, 1, 2]]), "give 2, 4 or 8"),
         (lambda mesh: assemble([[0, 2]], np.zeros((2, 2, 3))), "corners: 2"),
@@ -209,12 +211,12 @@ def test_arrays_that_make_no_mesh_are_refused(arguments, words: str) -> None:
 )
 def test_what_does_not_fit_the_mesh_is_refused_in_one_line(call, words: str) -> None:
     with pytest.raises(InputError, match=words) as error:
-        call(bricks())
+        call(cubes())
     assert "\n" not in str(error.value) and ";" in str(error.value)
 
 
 def test_a_mesh_keeps_its_own_parameters() -> None:
-    mesh = bricks()
+    mesh = cubes()
     moved = mesh.parameters + 1.0
     other = mesh.with_parameters(moved)
     moved[:] = 0.0

@@ -24,7 +24,7 @@ from common import (
 
 import modiolus
 from modiolus.errors import SolveError
-from modiolus.hermite import gauss, grid
+from modiolus.hermite import bricks, gauss
 from modiolus.mechanics import (
     FollowerPressure,
     Formulation,
@@ -49,8 +49,7 @@ def answer(case: str, shape: Mesh) -> Answer:
     counts, growth = shape
     if case == "muscle":
         counts = (*counts[:2], 1)
-    places = ticks(case, counts, growth)
-    mesh = grid(np.stack(np.meshgrid(*places, indexing="ij"), axis=-1))
+    mesh = bricks(ticks(case, counts, growth))
     fixed = clamp(mesh, side(mesh, 0, 0.0), 0, 0)
     settings = Settings(tolerance=1e-5, passing=1e-2, first_step=STEP[case])
     if case == "land":

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
 from modiolus.face.jaw import FOLLOWERS
-from modiolus.hermite import HermiteMesh
 from modiolus.hermite.tessellate import Mirror, Tessellation, tessellate
 
 __all__ = ["FaceScene", "eye"]
@@ -207,16 +205,8 @@ def eye(
 
 def _boundary(head: Head, names: list[str], divisions: int) -> Tessellation:
     """Tessellate several sides of the tissue as one surface with closed seams."""
-    sides = [head.sides[name] for name in names]
-    faces = [head.tissue.face(*side) for side in sides]
-    # In the faces across xi2 the local directions xi1 and xi3 are left-handed about xi2.
-    outward = [
-        np.full(face.n_elements, (1 if side else -1) * (-1 if axis == 1 else 1))
-        for face, (_, axis, side) in zip(faces, sides, strict=True)
-    ]
-    rows = sp.csr_matrix(sp.vstack([face.extraction for face in faces]))
-    surface = HermiteMesh(2, head.tissue.parameters, rows)
-    return tessellate(surface, divisions, np.concatenate(outward))
+    surface, outward = head.tissue.boundary(head.sides[name] for name in names)
+    return tessellate(surface, divisions, outward)
 
 
 def _eyes(head: Head) -> list[Shape]:

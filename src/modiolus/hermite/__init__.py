@@ -1,9 +1,9 @@
 """The finite element space: cubic Hermite meshes with extraction operators."""
 
 from .basis import basis, basis_1d
-from .grid import assemble, grid, grid_connectivity, linear
+from .grid import assemble, bricks, grid, grid_connectivity, linear
 from .locate import Location
-from .mesh import HermiteMesh
+from .mesh import HermiteMesh, outward
 from .mirror import MirroredMesh
 from .quadrature import Quadrature, gauss
 
@@ -15,8 +15,10 @@ __all__ = [
     "assemble",
     "basis",
     "basis_1d",
+    "bricks",
     "gauss",
     "grid",
     "grid_connectivity",
     "linear",
+    "outward",
 ]

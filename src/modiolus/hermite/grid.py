@@ -117,6 +117,25 @@ def grid(points: ArrayLike, periodic: Sequence[bool] | None = None) -> HermiteMe
     return assemble(grid_connectivity(counts, closed), flat)
 
 
+def bricks(ticks: Sequence[ArrayLike]) -> HermiteMesh:
+    """Return the elements between planes across the axes.
+
+    Parameters
+    ----------
+    ticks : sequence of (n_k,) array
+        Where the planes across each of three axes are, ascending, in mm.
+
+    Raises
+    ------
+    InputError
+        There are not three axes, or the planes of one do not ascend.
+    """
+    planes = [numbers("ticks", places, None) for places in ticks]
+    if len(planes) != 3 or not all((np.diff(places) > 0.0).all() for places in planes):
+        raise InputError("ticks: not ascending along each of three axes; sort them")
+    return grid(np.stack(np.meshgrid(*planes, indexing="ij"), axis=-1))
+
+
 def linear(vertices: ArrayLike, cells: ArrayLike) -> HermiteMesh:
     """Represent a multilinear mesh exactly in the Hermite space.
 

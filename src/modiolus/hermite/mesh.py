@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -196,6 +196,30 @@ class HermiteMesh:
         picked = [c * 2**self.dim + d for c in corners for d in kinds]
         return HermiteMesh(self.dim - 1, self.parameters, self._rows(elements, picked))
 
+    def boundary(self, sides: Iterable[tuple[ArrayLike, int, int]]) -> tuple[HermiteMesh, IntArray]:
+        """Return several sides of elements of a volume as one surface.
+
+        Parameters
+        ----------
+        sides : iterable of (elements, axis, side)
+            As in `face`.
+
+        Returns
+        -------
+        surface : HermiteMesh
+            The faces, one side after another; it shares the parameters of this mesh.
+        outward : (n_faces,) int array
+            1 where ``xi1 x xi2`` of a face points out of the volume, -1 where it points into it.
+        """
+        sides = list(sides)
+        faces = [self.face(*side) for side in sides]
+        rows = sp.csr_matrix(sp.vstack([face.extraction for face in faces]))
+        signs = [outward(axis, side) for _, axis, side in sides]
+        return (
+            HermiteMesh(self.dim - 1, self.parameters, rows),
+            np.repeat(signs, [face.n_elements for face in faces]),
+        )
+
     def face_parameters(
         self, elements: ArrayLike, axis: int, side: int
     ) -> tuple[IntArray, IntArray]:
@@ -271,3 +295,15 @@ class HermiteMesh:
         from .refine import refine
 
         return refine(self, tuple(counts))
+
+
+def outward(axis: int, side: int) -> int:
+    """Return 1 where ``xi1 x xi2`` of a volume's face points outwards, -1 where inwards.
+
+    Parameters
+    ----------
+    axis, side : int
+        As in `HermiteMesh.face`.
+    """
+    # The local directions of a face across xi2 are xi1 and xi3, which are left-handed about xi2.
+    return (1 if side else -1) * (-1 if axis == 1 else 1)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from ..hermite import HermiteMesh, grid
+from ..hermite import HermiteMesh, bricks
 from ..mechanics import Load, Problem, Settings, SurfaceContact, solve
 from ..mechanics.contact import Side
 from ..mechanics.facing import Patches, segments
@@ -25,9 +25,7 @@ RADIUS, HALF_WIDTH = 100.0, 1.0
 
 def blocks(below: Sequence[Array], above: Sequence[Array]) -> tuple[HermiteMesh, Side, Side]:
     """Return two blocks of given ticks as one mesh, with the sides that touch at z = 0."""
-    parts = [
-        grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)) for ticks in (below, above)
-    ]
+    parts = [bricks(ticks) for ticks in (below, above)]
     extraction = sp.csr_matrix(sp.block_diag([part.extraction for part in parts]))
     mesh = HermiteMesh(3, np.concatenate([part.parameters for part in parts]), extraction)
     top = side(parts[0], 2, 0.0)

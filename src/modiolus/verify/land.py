@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ..hermite import HermiteMesh, grid
+from ..hermite import HermiteMesh, bricks
 from ..mechanics import (
     FollowerPressure,
     Formulation,
@@ -49,8 +49,7 @@ def beam_tip(counts: tuple[int, int, int]) -> float:
     """Bend the beam of problem 1; return the height of the end of its top line in mm."""
     # The elements grow by a factor of twenty away from the clamp, whose edges are singular.
     steps = np.expm1(3.0 * np.linspace(0.0, 1.0, counts[0] + 1)) / np.expm1(3.0)
-    ticks = [10.0 * steps, *(np.linspace(0.0, 1.0, n + 1) for n in counts[1:])]
-    mesh = grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+    mesh = bricks([10.0 * steps, *(np.linspace(0.0, 1.0, n + 1) for n in counts[1:])])
     problem = Problem(
         mesh,
         Guccione(2.0, 8.0, 2.0, 4.0).array([1.0, 0.0, 0.0]),

@@ -8,14 +8,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..hermite import HermiteMesh, grid
+from ..hermite import HermiteMesh, bricks
 from ..mechanics.terms import IntArray
 
 
 def box(size: Sequence[float], counts: Sequence[int]) -> HermiteMesh:
     """Return a box of equal elements with a corner at the origin."""
-    ticks = [np.linspace(0.0, s, n + 1) for s, n in zip(size, counts, strict=True)]
-    return grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+    return bricks([np.linspace(0.0, s, n + 1) for s, n in zip(size, counts, strict=True)])
 
 
 def side(mesh: HermiteMesh, axis: int, place: float) -> IntArray:

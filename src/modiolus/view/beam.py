@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from modiolus.export.shape import Shape
-from modiolus.hermite import HermiteMesh
+from modiolus.hermite import HermiteMesh, outward
 from modiolus.hermite.tessellate import tessellate
 from modiolus.mechanics.beam import ELEMENTS, SIZE, BeamResult, fibre_direction, slab_mesh
 from modiolus.view.figure import Panel, figure
@@ -42,15 +42,14 @@ def _outside(mesh: HermiteMesh) -> list[tuple[HermiteMesh, int]]:
     for axis in range(3):
         for side in (0, 1):
             elements = np.take(index, -side, axis=2 - axis).ravel()
-            outward = (1 if side else -1) * (-1 if axis == 1 else 1)
-            faces.append((mesh.face(elements, axis, side), outward))
+            faces.append((mesh.face(elements, axis, side), outward(axis, side)))
     return faces
 
 
 def _shapes(mesh: HermiteMesh) -> list[Shape]:
     shapes = []
-    for face, outward in _outside(mesh):
-        surface = tessellate(face, 8, outward)
+    for face, sense in _outside(mesh):
+        surface = tessellate(face, 8, sense)
         shapes.append(Shape(surface.points(mesh.parameters), surface.cells, _TISSUE, gloss=0.2))
     return shapes
 

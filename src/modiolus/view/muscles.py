@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
 from modiolus.face.muscle import Muscle
-from modiolus.hermite import HermiteMesh
+from modiolus.hermite import HermiteMesh, outward
 from modiolus.hermite.tessellate import tessellate
 from modiolus.view.figure import Panel, figure
 from modiolus.view.raster import Camera, Curves
@@ -86,8 +86,7 @@ def _outside(mesh: HermiteMesh) -> Shape:
     every = np.arange(mesh.n_elements)
     for axis in range(3):
         for side in (0, 1):
-            outward = (1 if side else -1) * (-1 if axis == 1 else 1)
-            surface = tessellate(mesh.face(every, axis, side), 6, outward)
+            surface = tessellate(mesh.face(every, axis, side), 6, outward(axis, side))
             vertices.append(surface.points(mesh.parameters))
             faces.append(surface.cells + start)
             start += len(vertices[-1])
