@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from modiolus.anatomy import Surface
+from modiolus.errors import InputError, SolveError
 from modiolus.fitting import CloudTarget, PointTarget, Smoothing, SurfaceTarget, fit, sobolev
 from modiolus.hermite import HermiteMesh, grid
 
@@ -84,8 +85,60 @@ def test_smoothing_is_zero_for_what_it_does_not_penalise() -> None:
 
 
 def test_a_fit_without_targets_or_with_a_wrong_mask_is_refused() -> None:
-    with pytest.raises(ValueError, match="nothing to fit"):
-        fit(patch(), [])
+    mesh = patch()
+    with pytest.raises(InputError, match="nothing to fit"):
+        fit(mesh, [])
     target = PointTarget("p", np.array([0]), np.array([[0.5, 0.5]]), np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="fixed"):
-        fit(patch(), [target], fixed=np.zeros((2, 3), dtype=bool))
+    with pytest.raises(InputError, match="fixed"):
+        fit(mesh, [target], fixed=np.zeros((2, 3), dtype=bool))
+    # Of whole numbers, `~` would be no mask at all.
+    with pytest.raises(InputError, match="fixed: int"):
+        fit(mesh, [target], fixed=np.ones((mesh.n_params, 3), dtype=int))
+    with pytest.raises(InputError, match="constraints"):
+        fit(mesh, [target], constraints=(sp.csr_matrix((1, 5)), np.zeros(1)))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: CloudTarget("c", itself, np.zeros((2, 2))), r"c: shape \(2, 2\)"),
+        (lambda: CloudTarget("c", itself, np.full((2, 3), np.nan)), "c: .*NaN"),
+        (lambda: CloudTarget("c", itself, np.zeros((2, 3)), np.ones(3)), "c: weights"),
+        (lambda: CloudTarget("c", itself, np.zeros((2, 3)), -1.0), "c: weights"),
+        (lambda: CloudTarget("c", itself, np.zeros((2, 3)), sliding=2.0), "c: sliding"),
+        (lambda: SurfaceTarget("s", itself, sphere(), weight=np.nan), "s: weights"),
+        (lambda: PointTarget("p", np.zeros(2, int), np.zeros((2, 2)), np.zeros((1, 3))), "places"),
+        (
+            lambda: PointTarget(
+                "p", np.zeros(1, int), np.zeros((1, 2)), np.zeros((1, 3)), normals=np.zeros(3)
+            ),
+            "p: normals",
+        ),
+        (lambda: sobolev(patch(), Smoothing(second=(1.0, 2.0))), "smoothing: second"),
+        (lambda: sobolev(patch(), Smoothing(first=-1.0)), "smoothing: first"),
+        (
+            lambda: fit(patch(), [CloudTarget("c", lambda m: m.subset([0]), np.zeros((1, 3)))]),
+            "c: its part",
+        ),
+    ],
+)
+def test_targets_that_do_not_fit_are_refused(make, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_a_fit_without_a_unique_solution_says_so() -> None:
+    target = CloudTarget("c", itself, np.zeros((1, 3)))
+    with pytest.raises(SolveError, match=r"fit: .*smoothing"):
+        fit(patch(), [target], Smoothing(second=0.0), damping=0.0)
+
+
+def test_the_report_is_of_what_is_minimised_and_joins_targets_of_one_name() -> None:
+    place, points = (np.array([4]), np.array([[0.5, 0.5]])), np.array([[0.3, 0.0, 8.4]])
+    up = np.array([[0.0, 0.0, 1.0]])
+    far, near = (PointTarget("p", *place, points + k, 1.0, up, 0.25) for k in ([0, 0, 1], 0))
+    groups = fit(patch(), [far, near], iterations=0).groups
+    # 1.4 and 0.4 mm along the normal, 0.3 mm across it.
+    squares = [1.4**2 + 0.25 * 0.3**2, 0.4**2 + 0.25 * 0.3**2]
+    assert groups["p"].count == 2
+    assert groups["p"].rms == pytest.approx(np.sqrt(np.mean(squares)))

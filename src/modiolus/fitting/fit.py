@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from ..anatomy.surface import Surface
+from ..errors import InputError, SolveError
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
+from ..hermite.check import numbers
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class CloudTarget:
     weight : float or (n,) array
     sliding : float
         Weight of the tangential residual relative to the normal one (1: none slides).
+        Only on surfaces; on curves and volumes nothing slides.
     reject : float
         Points farther than this (mm) are left out of the iteration.
     """
@@ -41,6 +44,9 @@ class CloudTarget:
     weight: float | Array = 1.0
     sliding: float = 1.0
     reject: float = np.inf
+
+    def __post_init__(self) -> None:
+        _check(self.name, self.weight, self.sliding, len(numbers(self.name, self.points, None, 3)))
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,9 @@ class SurfaceTarget:
     surface : Surface
     samples : int
         Gauss points a direction in every element of the part.
-    weight, sliding, reject
+    weight : float
+        Of the mean sample.
+    sliding, reject
         As for `CloudTarget`.
     """
 
@@ -66,6 +74,9 @@ class SurfaceTarget:
     weight: float = 1.0
     sliding: float = 0.0
     reject: float = np.inf
+
+    def __post_init__(self) -> None:
+        _check(self.name, self.weight, self.sliding)
 
 
 @dataclass(frozen=True)
@@ -80,7 +91,7 @@ class PointTarget:
     points : (n, 3) array
     weight : float or (n,) array
     normals : (n, 3) array, optional
-        Directions across which the places may slide.
+        Unit directions across which the places may slide.
     sliding : float
         As for `CloudTarget`; it counts only where there are normals.
     """
@@ -92,6 +103,21 @@ class PointTarget:
     weight: float | Array = 1.0
     normals: Array | None = None
     sliding: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(numbers(self.name, self.points, None, 3))
+        _check(self.name, self.weight, self.sliding, n)
+        if self.normals is not None:
+            numbers(f"{self.name}: normals", self.normals, n, 3)
+        if len(self.elements) != n or len(self.xi) != n:
+            raise InputError(f"{self.name}: {len(self.xi)} places, {n} points; give one each")
+
+
+def _check(name: str, weight: float | Array, sliding: float, n: int = 1) -> None:
+    if np.shape(weight) not in ((), (n,)) or not (np.asarray(weight) >= 0.0).all():
+        raise InputError(f"{name}: weights are not one, or one a point, from 0 up; mend them")
+    if not 0.0 <= sliding <= 1.0:
+        raise InputError(f"{name}: sliding {sliding:g} is not within 0 to 1; mend it")
 
 
 Target = CloudTarget | SurfaceTarget | PointTarget
@@ -121,7 +147,11 @@ class Smoothing:
 
 @dataclass(frozen=True)
 class GroupReport:
-    """Residual of one target after the fit: root mean square, 95th percentile, maximum (mm)."""
+    """Residuals after the fit: root mean square, 95th percentile, maximum (mm), and how many.
+
+    They are the distances whose weighted squares are minimised: where a target slides, the
+    tangential part counts by the root of its share. Not numbers where there are none.
+    """
 
     rms: float
     p95: float
@@ -137,7 +167,7 @@ class FitResult:
     ----------
     mesh : HermiteMesh
     groups : dict of GroupReport
-        Residuals by target name.
+        Residuals by target name; targets of the same name count together.
     min_jacobian : float or None
         Smallest Jacobian determinant at 4x4x4 points, for volume meshes.
     """
@@ -161,17 +191,33 @@ def sobolev(mesh: HermiteMesh, smoothing: Smoothing) -> sp.csr_matrix:
 
     The penalty of Fernandez et al. 2004 (eq. 6): weighted integrals of squared first and
     second derivatives over the unit cells.
+
+    Raises
+    ------
+    InputError
+        There are not as many weights as derivatives, or one is below 0.
     """
     elements, xi, weights = mesh.gauss_points(smoothing.points)
     first, second = _derivative_orders(mesh.dim)
-    factors = [*np.broadcast_to(smoothing.first, len(first))]
-    factors += [*np.broadcast_to(smoothing.second, len(second))]
+    factors = np.concatenate(
+        [
+            _weights("first", smoothing.first, len(first)),
+            _weights("second", smoothing.second, len(second)),
+        ]
+    )
     total = sp.csr_matrix((mesh.n_params, mesh.n_params))
     for orders, factor in zip([*first, *second], factors, strict=True):
         if factor > 0.0:
             operator = mesh.functions(elements, xi, orders)
             total = total + operator.T @ sp.diags(weights * factor) @ operator
     return sp.csr_matrix(total)
+
+
+def _weights(name: str, given: float | Sequence[float], n: int) -> Array:
+    weights = np.asarray(given, dtype=float)
+    if weights.shape not in ((), (n,)) or not (weights >= 0.0).all():
+        raise InputError(f"smoothing: {name} is not one weight or {n}, from 0 up; mend it")
+    return np.broadcast_to(weights, n)
 
 
 def part_normals(part: HermiteMesh, elements: NDArray[np.int64], xi: Array) -> Array:
@@ -189,20 +235,12 @@ class _Residual:
     normals: Array | None
     sliding: float
 
-    def report(self, parameters: Array) -> GroupReport:
+    def distances(self, parameters: Array) -> Array:
         gap = self.points - self.operator @ parameters
         if self.normals is not None:
             tangential = gap - np.sum(gap * self.normals, axis=1, keepdims=True) * self.normals
-            gap = gap - (1.0 - self.sliding) * tangential
-        distance = np.linalg.norm(gap, axis=1)
-        if not len(distance):
-            return GroupReport(np.nan, np.nan, np.nan, 0)
-        return GroupReport(
-            float(np.sqrt(np.mean(distance**2))),
-            float(np.percentile(distance, 95)),
-            float(distance.max()),
-            len(distance),
-        )
+            gap = gap - (1.0 - np.sqrt(self.sliding)) * tangential
+        return np.asarray(np.linalg.norm(gap, axis=1))
 
 
 def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
@@ -235,6 +273,8 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
         near = found.distance <= target.reject
         elements, xi, points, normals = elements[near], xi[near], points[near], normals[near]
         weight = target.weight * cell[near] * target.samples**part.dim
+    if part.n_params != mesh.n_params:
+        raise InputError(f"{target.name}: its part has other parameters; pick faces of the mesh")
     operator = part.functions(elements, xi)
     return _Residual(operator, points, np.asarray(weight, dtype=float), normals, target.sliding)
 
@@ -270,14 +310,25 @@ def fit(
 
     Raises
     ------
-    ValueError
-        For a fixed mask of the wrong shape or no target at all.
+    InputError
+        The mask or the constraints do not fit the mesh, or there is no target at all.
+    SolveError
+        The equations have no unique solution.
     """
     if not targets:
-        raise ValueError("targets: there is nothing to fit to; give at least one")
+        raise InputError("targets: there is nothing to fit to; give at least one")
     held = np.zeros((mesh.n_params, 3), dtype=bool) if fixed is None else np.asarray(fixed)
-    if held.shape != (mesh.n_params, 3):
-        raise ValueError(f"fixed: shape {held.shape} is not ({mesh.n_params}, 3)")
+    if held.shape != (mesh.n_params, 3) or held.dtype != bool:
+        raise InputError(
+            f"fixed: {held.dtype} of shape {held.shape}; give a mask of ({mesh.n_params}, 3) bool"
+        )
+    if constraints is not None and (
+        constraints[0].shape != (len(constraints[1]), 3 * mesh.n_params)
+    ):
+        raise InputError(
+            f"constraints: shape {constraints[0].shape} for {len(constraints[1])} values; give a "
+            f"row each of {3 * mesh.n_params} columns"
+        )
     smoothing = smoothing or Smoothing()
     roughness = sobolev(mesh, smoothing)
     reference = mesh.parameters if smoothing.relative else np.zeros_like(mesh.parameters)
@@ -299,14 +350,34 @@ def fit(
             matrix = matrix + weighted @ wide
             right = right + weighted @ gap.ravel()
         step = np.zeros(3 * mesh.n_params)
-        step[free] = _solve(matrix[free][:, free], right[free], constraints, current, free)
+        try:
+            step[free] = _solve(matrix[free][:, free], right[free], constraints, current, free)
+        except RuntimeError as error:
+            raise SolveError(
+                f"fit: {error}; add smoothing or damping, and constrain nothing that is fixed"
+            ) from None
         mesh = mesh.with_parameters(current + step.reshape(-1, 3))
-    groups = {t.name: _residual(t, mesh).report(mesh.parameters) for t in targets}
+    distances: dict[str, list[Array]] = {}
+    for target in targets:
+        found = _residual(target, mesh).distances(mesh.parameters)
+        distances.setdefault(target.name, []).append(found)
+    groups = {name: _report(np.concatenate(found)) for name, found in distances.items()}
     smallest = None
     if mesh.dim == 3:
         elements, xi, _ = mesh.gauss_points(4)
         smallest = float(np.linalg.det(mesh.jacobian(elements, xi)).min())
     return FitResult(mesh, groups, smallest)
+
+
+def _report(distances: Array) -> GroupReport:
+    if not len(distances):
+        return GroupReport(np.nan, np.nan, np.nan, 0)
+    return GroupReport(
+        float(np.sqrt(np.mean(distances**2))),
+        float(np.percentile(distances, 95)),
+        float(distances.max()),
+        len(distances),
+    )
 
 
 def _sliding_metric(residual: _Residual) -> sp.csr_matrix:
