@@ -3,14 +3,17 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from modiolus.errors import InputError
 from modiolus.export import Shape, vertex_normals
 from modiolus.export.scene import eye
 from modiolus.view import Camera, Curves, Panel, Scale, draw, figure
+from modiolus.view.face import face_panels
 from modiolus.view.raster import BACKGROUND
 
 CAMERA = Camera((0.0, 0.0, 0.0), height=40.0)
@@ -124,3 +127,40 @@ print(Path("/proc/self/maps").read_text())
     assert not re.search(r"/lib(GL|GLX|EGL|OSMesa|X11)[.-]", answer.stdout)
     assert (tmp_path / "ball.png").stat().st_size > 0
     assert (tmp_path / "cube.vtu").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (
+            lambda: Shape(np.zeros((2, 3)), np.array([[0, 1, 2]]), (1.0, 1.0, 1.0), "skin"),
+            "skin: f",
+        ),
+        (lambda: Shape(np.zeros((3, 2)), np.array([[0, 1, 2]]), (1.0, 1.0, 1.0)), "vertices"),
+        (lambda: Shape(np.full((3, 3), np.nan), np.array([[0, 1, 2]]), (1.0, 1.0, 1.0)), "NaN"),
+        (lambda: Shape(np.zeros((3, 3)), np.array([[0, 1]]), (1.0, 1.0, 1.0)), "three corners"),
+        (lambda: Shape(np.zeros((3, 3)), np.array([[0, 1, 2]]), np.zeros((2, 3))), "colour"),
+        (lambda: Scale("mm", 1.0, 1.0), "scale: 1 to 1"),
+        (lambda: Scale("mm", 0.0, np.nan), "scale: 0 to nan"),
+        (lambda: figure([], Path("page.png"), 1), "panels: 0"),
+        (lambda: figure([Panel(CAMERA)], Path("page.png"), 0), "0 columns"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_looks_stand_beside_each_other_in_every_view():
+    class Ball:
+        def skin_points(self, parameters):
+            return ball().vertices
+
+    scale = Scale("mm", 0.0, 1.0)
+    looks = [("plain", [ball()], None), ("painted", [ball()], scale)]
+    front, side = face_panels(Ball(), np.zeros((1, 3)), looks, zoom=2.0)
+    assert [panel.title for panel in front] == ["plain, front", "painted, front"]
+    assert [panel.scale for panel in [*front, *side]] == [None, None, None, scale]
+    assert front[0].camera.azimuth == 0.0 and side[0].camera.azimuth > 0.0
+    # A ball of 20 mm, with a margin, at twice the size.
+    assert front[0].camera.height == pytest.approx(10.8, rel=0.01)

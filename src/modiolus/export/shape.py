@@ -5,13 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modiolus.errors import InputError
+from modiolus.hermite.check import numbers, whole
+
 __all__ = ["Shape", "linear_light", "vertex_normals"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape:
     """A triangulated surface with its look.
 
@@ -29,6 +32,11 @@ class Shape:
         Strength of the highlight, 0 (matt) to 1 (wet).
     glow : float
         Share of the light that has wandered under the surface, as it does in skin.
+
+    Raises
+    ------
+    InputError
+        An array has another shape, a vertex is not finite, or a triangle has one that there is not.
     """
 
     vertices: Floats
@@ -37,6 +45,15 @@ class Shape:
     name: str = ""
     gloss: float = 0.12
     glow: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(numbers(f"{self.name or 'shape'}: vertices", self.vertices, None, 3))
+        corners = whole(f"{self.name or 'shape'}: faces", self.faces, n, ndim=2)
+        if corners.shape[1] != 3 or np.shape(self.colour) not in ((3,), (n, 3)):
+            raise InputError(
+                f"{self.name or 'shape'}: faces {corners.shape} and colour {np.shape(self.colour)} "
+                "do not fit; give three corners a face and one colour, or one a vertex"
+            )
 
     def colours(self) -> Floats:
         """Return the colour of every vertex, (n, 3)."""

@@ -17,7 +17,7 @@ from ..hermite.basis import Array
 from ..hermite.check import numbers
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CloudTarget:
     """Data points that a part of the mesh should pass through.
 
@@ -49,7 +49,7 @@ class CloudTarget:
         _check(self.name, self.weight, self.sliding, len(numbers(self.name, self.points, None, 3)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SurfaceTarget:
     """A surface that sample points of a part of the mesh should lie on.
 
@@ -79,7 +79,7 @@ class SurfaceTarget:
         _check(self.name, self.weight, self.sliding)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointTarget:
     """Fixed places of the mesh that should lie at given points.
 

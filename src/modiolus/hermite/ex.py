@@ -38,7 +38,7 @@ FIBRES = "fibres"
 _SHAPES = ("", "line", "line*line", "line*line*line")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExField:
     """A field of an EX file on the elements of its mesh.
 
@@ -75,7 +75,7 @@ class ExField:
         return int(self.parameters.shape[1])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExMesh:
     """What an EX file holds.
 

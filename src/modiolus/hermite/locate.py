@@ -23,7 +23,7 @@ SAMPLES = 4
 TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Location:
     """Where points lie in a mesh.
 

@@ -15,7 +15,7 @@ from .mesh import HermiteMesh
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MirroredMesh:
     """A volume mesh of both sides, made of one half.
 

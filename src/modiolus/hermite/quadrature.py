@@ -36,7 +36,7 @@ def gauss(dim: int, n: int) -> tuple[Array, Array]:
     return xi, np.prod([f.ravel() for f in factors], axis=0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quadrature:
     """Points with weights in the elements of a mesh.
 

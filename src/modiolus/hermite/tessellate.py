@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 _VTK_HEXAHEDRON = (0, 1, 3, 2, 4, 5, 7, 6)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tessellation:
     """Vertices and cells that follow a Hermite mesh through any change of its parameters.
 
@@ -107,7 +107,7 @@ def tessellate(mesh: HermiteMesh, n: int, outward: ArrayLike = 1) -> Tessellatio
     return Tessellation(functions[first], cells, elements, xi, vertex)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mirror:
     """A half surface and its mirror image as one surface, joined along the mirror plane.
 

@@ -14,7 +14,7 @@ from modiolus.export.scene import FaceScene
 from modiolus.export.shape import Shape
 from modiolus.scans.compare import Comparison, Measure
 from modiolus.scans.skin import REGIONS
-from modiolus.view.face import VIEWS, face_camera
+from modiolus.view.face import face_panels
 from modiolus.view.figure import Panel, Scale, figure, histogram
 
 __all__ = ["MEASURE_HEADINGS", "cell", "draw_comparison", "measure_rows", "write_page"]
@@ -60,28 +60,23 @@ def draw_comparison(
         colours[~measure.covered] = _BESIDE
         return Shape(surface.vertices, surface.faces, colours, "scan", gloss=0.05)
 
-    maps = [("error", painted(measure.error)), ("error of not moving", painted(measure.still))]
     measured = Shape(surface.vertices, surface.faces, (0.80, 0.74, 0.68), "scan", gloss=0.15)
+    maps = [("error", measure.error), ("error of not moving", measure.still)]
+    looks = [
+        ("measured", [measured], None),
+        ("computed", scene.shapes(moved, jaw=jaw), None),
+        *((name, [painted(values)], scale) for name, values in maps),
+    ]
     panels = []
-    for view in VIEWS:
-        camera = face_camera(scene, rest, view, zoom=1.15)
-        panels.append(Panel(camera, [measured], title=f"measured, {view}"))
-        panels.append(Panel(camera, scene.shapes(moved, jaw=jaw), title=f"computed, {view}"))
-        for title, shape in maps:
-            bar = scale if view == "three-quarter" else None
-            panels.append(Panel(camera, [shape], title=f"{title}, {view}", scale=bar))
-    found = measure.of(measure.error, everywhere)
-    still = measure.of(measure.still, everywhere)
-    for number, (name, values, known) in enumerate(
-        [("error", measure.error, found), ("error of not moving", measure.still, still)]
-    ):
+    for row, (name, values) in zip(face_panels(scene, rest, looks, 1.15), maps, strict=True):
+        known = measure.of(values, everywhere)
         chart = histogram(
             values[measure.covered],
             measure.weight[measure.covered],
             scale,
             [("median", known.median), ("rms", known.rms), ("95 %", known.p95)],
         )
-        panels.insert(4 + 5 * number, Panel(panels[0].camera, title=name, chart=chart))
+        panels += [*row, Panel(row[0].camera, title=name, chart=chart)]
     figure(panels, path, columns=5, panel_size=(400, 470), heading=heading)
 
 

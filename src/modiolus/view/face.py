@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from modiolus.errors import InputError
 from modiolus.export.scene import FaceScene
+from modiolus.export.shape import Shape
 from modiolus.view.figure import Panel, Scale, figure
 from modiolus.view.raster import Camera
 
-__all__ = ["draw_catalogue", "draw_face"]
+__all__ = ["VIEWS", "draw_catalogue", "draw_face", "face_camera", "face_panels"]
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +42,36 @@ def face_camera(scene: FaceScene, rest: Floats, view: str, zoom: float = 1.0) ->
     low, high = seen.min(axis=0), seen.max(axis=0)
     x, y, z = 0.5 * (low + high) @ axes
     return Camera((x, y, z), 1.08 * float(high[1] - low[1]) / zoom, azimuth, elevation)
+
+
+def face_panels(
+    scene: FaceScene,
+    rest: Floats,
+    looks: Sequence[tuple[str, list[Shape], Scale | None]],
+    zoom: float = 1.0,
+) -> list[list[Panel]]:
+    """Return panels of several looks beside each other, a row for each of `VIEWS`.
+
+    Parameters
+    ----------
+    scene, rest, zoom
+        As in `face_camera`.
+    looks : sequence of (title, shapes, scale)
+        The scale is drawn in the last row.
+    """
+    last = list(VIEWS)[-1]
+    return [
+        [
+            Panel(
+                face_camera(scene, rest, view, zoom),
+                shapes,
+                title=f"{title}, {view}",
+                scale=scale if view == last else None,
+            )
+            for title, shapes, scale in looks
+        ]
+        for view in VIEWS
+    ]
 
 
 def draw_face(
@@ -69,21 +101,12 @@ def draw_face(
     """
     distance = scene.displacement(moved)
     scale = Scale("displacement (mm)", 0.0, _round_up(float(distance.max())))
-    looks = [
+    looks: list[tuple[str, list[Shape], Scale | None]] = [
         (titles[0], scene.shapes(rest), None),
         (titles[1], scene.shapes(moved, jaw=jaw), None),
         ("displacement", scene.shapes(moved, scale.colours(distance), jaw), scale),
     ]
-    panels = [
-        Panel(
-            face_camera(scene, rest, view),
-            shapes,
-            title=f"{title}, {view}",
-            scale=bar if view == "three-quarter" else None,
-        )
-        for view in VIEWS
-        for title, shapes, bar in looks
-    ]
+    panels = [panel for row in face_panels(scene, rest, looks) for panel in row]
     figure(panels, path, columns=3, panel_size=(480, 560), heading=heading)
 
 
@@ -107,10 +130,16 @@ def draw_catalogue(
         A line above the pictures.
     path : Path
         The file to write.
+
+    Raises
+    ------
+    InputError
+        There are no states.
     """
+    if not states:
+        raise InputError("states: there are none to draw; give at least one")
     distances = [scene.displacement(moved) for _, _, moved in states]
-    high = max((float(distance.max()) for distance in distances), default=0.0)
-    scale = Scale("displacement (mm)", 0.0, _round_up(high))
+    scale = Scale("displacement (mm)", 0.0, _round_up(float(np.max(distances))))
     camera = face_camera(scene, rest, "front", zoom=1.2)
     panels = []
     for (title, note, moved), distance in zip(states, distances, strict=True):
@@ -118,8 +147,7 @@ def draw_catalogue(
         share = 0.6 * np.clip(distance / (0.15 * scale.high), 0.0, 1.0)[:, None]
         colours = (1.0 - share) * scene.colours + share * scale.colours(distance)
         panels.append(Panel(camera, scene.shapes(moved, colours), title=title, note=note))
-    if panels:
-        panels[-1] = replace(panels[-1], scale=scale)
+    panels[-1] = replace(panels[-1], scale=scale)
     figure(panels, path, columns=6, panel_size=(300, 330), heading=heading)
 
 

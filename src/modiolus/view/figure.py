@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from modiolus.errors import InputError
 from modiolus.export.shape import Shape
 from modiolus.view.raster import BACKGROUND, Camera, Curves, draw
 
@@ -16,6 +17,7 @@ __all__ = ["Panel", "Scale", "figure", "histogram"]
 Floats = NDArray[np.float64]
 
 _INK = (38, 38, 42)
+_PAPER = tuple(round(255 * value) for value in BACKGROUND)
 _FAINT = (120, 120, 126)
 # From resting skin to deep violet, evenly darker all the way, so that it also reads in grey.
 _RAMP = np.array(
@@ -41,16 +43,25 @@ class Scale:
         What is shown, with its unit.
     low, high : float
         The values at the two ends; values beyond them take the colours of the ends.
+
+    Raises
+    ------
+    InputError
+        The ends are not finite, or not in ascending order.
     """
 
     label: str
     low: float
     high: float
 
+    def __post_init__(self) -> None:
+        if not -np.inf < self.low < self.high < np.inf:
+            raise InputError(f"scale: {self.low:g} to {self.high:g} does not ascend; mend its ends")
+
     def colours(self, values: Floats) -> Floats:
         """Return the sRGB colours (n, 3) of values (n,)."""
-        span = max(self.high - self.low, 1e-30)
-        share = np.clip((np.asarray(values, dtype=float) - self.low) / span, 0.0, 1.0)
+        share = (np.asarray(values, dtype=float) - self.low) / (self.high - self.low)
+        share = np.clip(share, 0.0, 1.0)
         knots = np.linspace(0.0, 1.0, len(_RAMP))
         return np.column_stack([np.interp(share, knots, channel) for channel in _RAMP.T])
 
@@ -106,20 +117,28 @@ def figure(
         Width and height of a picture in pixels, without its title and scale.
     heading : str
         A line above everything.
+
+    Raises
+    ------
+    InputError
+        There is nothing to draw, or no place for it.
     """
+    if not panels or columns < 1 or min(panel_size) < 1:
+        raise InputError(
+            f"panels: {len(panels)} in {columns} columns of {panel_size} pixels; give some of each"
+        )
     width, height = panel_size
     columns = min(columns, len(panels))
     gap = max(width // 60, 4)
     text = max(width // 28, 12)
     margin = text
     top = margin + 2 * text if heading else 0
-    title = sum([any(panel.title for panel in panels), any(panel.note for panel in panels)])
-    head = margin + round(1.35 * text * title) if title else 0
+    lines = sum([any(panel.title for panel in panels), any(panel.note for panel in panels)])
+    head = margin + round(1.35 * text * lines) if lines else 0
     foot = 3 * text if any(panel.scale is not None for panel in panels) else 0
     rows = -(-len(panels) // columns)
     step = head + height + foot
-    background = tuple(round(255 * value) for value in BACKGROUND)
-    page = Image.new("RGB", (columns * width, top + rows * step), background)
+    page = Image.new("RGB", (columns * width, top + rows * step), _PAPER)
     pen = ImageDraw.Draw(page)
     if heading:
         pen.text((margin, margin), heading, _INK, _font(round(1.35 * text)))
@@ -179,8 +198,7 @@ def histogram(
     shares = shares / max(float(shares.sum()), 1e-30)
 
     def chart(width: int, height: int, text: int) -> Image.Image:
-        background = tuple(round(255 * value) for value in BACKGROUND)
-        picture = Image.new("RGB", (width, height), background)
+        picture = Image.new("RGB", (width, height), _PAPER)
         pen, font = ImageDraw.Draw(picture), _font(round(0.82 * text))
         left, right, top, foot = 2 * text, width - 2 * text, 3 * text, height - 4 * text
         tallest = max(float(shares.max()), 1e-30)

@@ -86,7 +86,7 @@ class Camera:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curves:
     """Lines to draw, such as element edges or fibres; surfaces in front hide them.
 
