@@ -2,16 +2,18 @@
 
 import ctypes
 import json
+import math
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from modiolus import __version__
 from modiolus.cli import main
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.progress import Interruption, Progress
 
@@ -215,6 +217,57 @@ def test_whole_folder_keeps_the_earlier_run_after_a_failure(tmp_path):
         raise RuntimeError
     assert (tmp_path / "run" / "report.json").read_text() == "first"
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_whole_folder_brings_the_earlier_run_back(tmp_path, monkeypatch):
+    with whole_folder(tmp_path / "run", marker="report.json") as folder:
+        (folder / "report.json").write_text("first")
+    rename = Path.rename
+
+    def fails(self, target):
+        if self.suffix == ".part":
+            raise OSError("no room")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", fails)
+    with (
+        pytest.raises(OSError, match="no room"),
+        whole_folder(tmp_path / "run", marker="report.json") as folder,
+    ):
+        (folder / "report.json").write_text("second")
+    assert (tmp_path / "run" / "report.json").read_text() == "first"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_whole_folder_follows_a_link(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "run").symlink_to(tmp_path / "disk")
+    for _ in range(2):
+        with whole_folder(tmp_path / "run", marker="report.json") as folder:
+            (folder / "report.json").write_text("{}")
+    assert (tmp_path / "run").is_symlink()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["disk", "run"]
+    assert [path.name for path in (tmp_path / "disk").iterdir()] == ["report.json"]
+
+
+def test_whole_folder_does_not_take_away_where_one_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with (
+        pytest.raises(InputError, match="where you are"),
+        whole_folder(Path(), marker="report.json"),
+    ):
+        pass
+
+
+def test_report_has_null_for_what_is_not_a_number(tmp_path):
+    record = {"rms": math.nan, "rows": [(1.5, -math.inf)], "name": "sad"}
+    write_report(tmp_path, record)
+    text = (tmp_path / "report.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail) == {
+        "rms": None,
+        "rows": [[1.5, None]],
+        "name": "sad",
+    }
 
 
 def test_whole_folder_refuses_a_file(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from modiolus import __version__
+from modiolus.cli.outputs import as_text
 
 __all__ = ["app", "show"]
 
@@ -38,7 +38,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no m
 def show(record: Mapping[str, Any], text: str, as_json: bool, quiet: bool) -> None:
     """Print what a command found: as one JSON object, as text, or not at all."""
     if as_json:
-        sys.stdout.write(json.dumps(record, allow_nan=False) + "\n")
+        sys.stdout.write(as_text(record) + "\n")
     elif not quiet:
         sys.stdout.write(text + "\n")
 

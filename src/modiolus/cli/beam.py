@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +10,7 @@ import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Out, Quiet, app, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.progress import Progress
 
@@ -64,7 +63,7 @@ def beam(
                 "report": str(out / name / "report.json"),
             },
         }
-        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(folder, record)
     show(
         record,
         f"Bent by {result.bend:.1f}° and twisted by {result.twist:.1f}°.\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.progress import Progress
 
 Unit = Annotated[
@@ -118,7 +117,7 @@ def compare(
             [(*table, part) for table, part in zip(tables, rows, strict=True)],
             [("error maps", folder / "compare.png")],
         )
-        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(folder, record)
     text = text_table(MEASURE_HEADINGS, rows[0])
     files = record["files"]
     show(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 
 
@@ -64,7 +63,7 @@ def export(
             "fields": ["coordinates", *([] if parameters is None else ["deformed"]), "fibres"],
             "files": places,
         }
-        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(folder, record)
     lines = [f"{head.name}: {head.tissue.n_elements} elements, {len(head.muscles)} muscles"]
     lines += [f"{name}: {path}" for name, path in places.items()]
     show(record, "\n".join(lines), as_json, quiet)

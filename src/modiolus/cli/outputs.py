@@ -1,17 +1,20 @@
-"""Output folders that appear whole or not at all."""
+"""What a command leaves: folders that appear whole or not at all, and reports in them."""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from modiolus.errors import InputError
 from modiolus.progress import Interruption
 
-__all__ = ["whole_folder"]
+__all__ = ["as_text", "whole_folder", "write_report"]
 
 
 @contextlib.contextmanager
@@ -40,17 +43,20 @@ def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[P
     InputError
         If the place cannot be written, or holds something that is not ours.
     """
-    target = target.absolute()
-    if target.is_dir() and any(target.iterdir()) and not (target / marker).is_file():
-        raise InputError(
-            f"{option} {target}: the folder holds other files (it has no {marker}); "
-            "name a new or an empty one"
-        )
-    made = [parent for parent in target.parents if not parent.exists()]
+    target = target.resolve()
+    made: list[Path] = []
     draft = target.parent / f".{target.name}.{os.getpid()}.part"
     try:
         if target.exists() and not target.is_dir():
             raise NotADirectoryError(None, "it is a file, not a folder")
+        if target.is_dir() and any(target.iterdir()) and not (target / marker).is_file():
+            raise InputError(
+                f"{option} {target}: the folder holds other files (it has no {marker}); "
+                "name a new or an empty one"
+            )
+        if Path.cwd().is_relative_to(target):
+            raise InputError(f"{option} {target}: this is where you are; name a folder inside")
+        made = [parent for parent in target.parents if not parent.exists()]
         draft.mkdir(parents=True)
     except OSError as error:
         _remove_empty(made)
@@ -60,15 +66,26 @@ def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[P
     try:
         yield draft
         Interruption.check()
-        old = target.parent / f".{target.name}.{os.getpid()}.old"
-        if target.exists():
-            target.rename(old)
-        draft.rename(target)
-        shutil.rmtree(old, ignore_errors=True)
+        _put(draft, target)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         _remove_empty(made)
         raise
+
+
+def _put(draft: Path, target: Path) -> None:
+    """Put a folder into its place; what was there comes back if that fails."""
+    old = target.parent / f".{target.name}.{os.getpid()}.old"
+    try:
+        if target.exists():
+            target.rename(old)
+        draft.rename(target)
+    except BaseException:
+        if old.exists() and not target.exists():
+            old.rename(target)
+        raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def _remove_empty(folders: list[Path]) -> None:
@@ -76,3 +93,21 @@ def _remove_empty(folders: list[Path]) -> None:
     for folder in folders:
         with contextlib.suppress(OSError):
             folder.rmdir()
+
+
+def write_report(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write what a command found as ``report.json`` into a folder."""
+    (folder / "report.json").write_text(as_text(record, indent=2) + "\n", encoding="utf-8")
+
+
+def as_text(record: Mapping[str, Any], indent: int | None = None) -> str:
+    """Return a record as JSON, with null for numbers that are not finite."""
+    return json.dumps(_finite(record), indent=indent, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from modiolus.cli.outputs import write_report
 from modiolus.errors import InputError
 from modiolus.export import write_glb, write_vtu
 from modiolus.export.scene import FaceScene
@@ -179,7 +179,7 @@ class Runner:
         record = self.record(name, state)
         record["wall_s"] = round(time.perf_counter() - began, 3)
         record["files"] = {kind: str(target / file) for kind, file in names.items()}
-        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(folder, record)
         return record
 
     def record(self, name: str, state: State) -> dict[str, Any]:

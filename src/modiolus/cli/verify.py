@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
 from modiolus.errors import SolveError
 from modiolus.progress import Progress
+
+if TYPE_CHECKING:
+    from modiolus.verify import Check
 
 
 @app.command(epilog="Example: modiolus verify patch land-1")
@@ -52,24 +55,20 @@ def verify(
         raise typer.Exit(1)
 
 
-def _record(name: str, check: Any) -> dict[str, Any]:
+def _record(name: str, check: Check) -> dict[str, Any]:
     return {
         "case": name,
         "quantity": check.quantity,
-        "expected": _number(check.expected),
-        "got": _number(check.got),
-        "error": _number(check.error),
+        "expected": check.expected,
+        "got": check.got,
+        "error": check.error,
         "tolerance": check.tolerance,
         "relative": check.relative,
         "verdict": "pass" if check.passed else "fail",
     }
 
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _table(rows: list[tuple[str, Any]]) -> str:
+def _table(rows: list[tuple[str, Check]]) -> str:
     """Lay the checks out for reading."""
     from rich.console import Console
     from rich.table import Table
