@@ -15,7 +15,7 @@ CASES = {
         Case(
             "derivatives",
             "every term agrees with finite differences",
-            (derivatives.finite_differences),
+            derivatives.finite_differences,
         ),
         Case("rigid-motion", "turning and moving costs nothing", derivatives.rigid_motion),
         Case("patch", "even deformation of elements of any shape and extraction", patch.patches),

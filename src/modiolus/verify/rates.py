@@ -25,7 +25,7 @@ from ..mechanics.laws import Array
 from ..mechanics.problem import trilinear
 from .case import Check
 from .meshes import box, side
-from .patch import COEFFICIENTS
+from .patch import COEFFICIENTS, piola
 
 KAPPA = 20.0
 
@@ -80,24 +80,21 @@ SHEARS = Waves(
 )
 
 
-def piola(f: Array, pressure: Array, volume: Volume) -> Array:
-    """Return the first Piola stress (n, 3, 3) of the isochoric law, from its Cauchy stress.
+def spherical(f: Array, pressure: Array, volume: Volume) -> Array:
+    """Return the mean of the Kirchhoff stress (n,) that a law for the volume gives, ``J U'(J)``.
 
-    ``J σ = dev(2 W_1 B̄ + 2 W_2 (Ī1 B̄ - B̄²)) + J U'(J) I``.
+    Parameters
+    ----------
+    f : (n, 3, 3) array
+        Deformation gradients.
+    pressure : (n,) array
+        In kPa.
+    volume : Volume
     """
-    c10, c01, c20 = COEFFICIENTS
-    det = np.linalg.det(f)[:, None, None]
-    bar = f @ np.swapaxes(f, 1, 2) * det ** (-2.0 / 3.0)
-    first = np.trace(bar, axis1=1, axis2=2)[:, None, None]
-    kirchhoff = 2.0 * (c10 + 2.0 * c20 * (first - 3.0)) * bar
-    kirchhoff = kirchhoff + 2.0 * c01 * (first * bar - bar @ bar)
-    mean = np.trace(kirchhoff, axis1=1, axis2=2)[:, None, None] / 3.0
+    det = np.linalg.det(f)
     if volume == Volume.LOGARITHM:
-        spherical = KAPPA * np.log(det)
-    else:
-        spherical = det * (KAPPA * (det - 1.0) + pressure[:, None, None])
-    kirchhoff = kirchhoff + (spherical - mean) * np.eye(3)
-    return np.asarray(kirchhoff @ np.swapaxes(np.linalg.inv(f), 1, 2))
+        return np.asarray(KAPPA * np.log(det))
+    return np.asarray(det * (KAPPA * (det - 1.0) + pressure))
 
 
 def no_pressure(points: Array) -> Array:
@@ -128,7 +125,8 @@ def errors(
     mesh = box((1.0, 1.0, 1.0), (n, n, n))
 
     def stress(points: Array) -> Array:
-        return piola(waves.gradient(points), pressure(points), volume)
+        f = waves.gradient(points)
+        return piola(f, spherical(f, pressure(points), volume))
 
     rule = mesh.quadrature(6)
     points = mesh.evaluate(rule.elements, rule.xi)
