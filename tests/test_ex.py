@@ -329,6 +329,7 @@ def test_changed_words_never_end_in_another_error(tmp_path: Path) -> None:
         ("rectangular cartesian", "prolate spheroidal", "rectangular"),
         ("standard node based", "grid based", "grid"),
         ("d3/ds1ds2ds3\n", "d/ds9\n", "d/ds9"),
+        ("real, #Components=3\n x. #Values", "real, #Components=0\n x. #Values", "no components"),
     ],
 )
 def test_wrong_counts_and_forms_are_told(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -340,6 +341,26 @@ def test_wrong_counts_and_forms_are_told(tmp_path: Path, old: str, new: str, sai
     with pytest.raises(InputError, match=said) as error:
         read_ex(path)
     one_line(error.value, "mesh.exf")
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"fields": {"f": np.zeros((3, 1))}}, r"f: shape \(3, 1\)"),
+        ({"fields": {"f": np.full((2, 1), np.nan)}}, "f: .*NaN"),
+        ({"fields": {"a, b": np.zeros((2, 1))}}, "no name"),
+        ({"fields": {"coordinates": np.zeros((2, 3))}}, "another field"),
+        ({"linear": {"f": np.zeros((1, 2))}}, "f: shape"),
+        ({"groups": {"g": [1]}}, "g: 1 is not"),
+        ({"groups": {"g": [-1]}}, "g: -1 is not"),
+        ({"groups": {"a\nb": [0]}}, "no name"),
+        ({"first": (0, 1)}, "first"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(tmp_path: Path, more: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        write_ex(tmp_path / "line.exf", linear(np.eye(3)[:2], [[0, 1]]), **more)
+    assert not list(tmp_path.iterdir())
 
 
 def test_names_without_end_are_refused_at_once(tmp_path: Path) -> None:

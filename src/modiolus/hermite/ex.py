@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from .basis import Array, basis
+from .check import numbers, whole
 from .mesh import HermiteMesh
 
 __all__ = ["LABELS", "ExField", "ExMesh", "write_ex"]
@@ -136,15 +137,29 @@ def write_ex(
     Raises
     ------
     InputError
-        The name ends otherwise.
+        The path ends otherwise, an array does not fit the mesh or is not finite, or a name cannot
+        stand in the file.
     OSError
         A file cannot be written.
     """
     path = Path(path)
     if path.suffix not in (".exf", ".exnode", ".exelem"):
         raise InputError(f"{path}: no name of an EX file; let it end in .exf or .exnode")
-    plan = _Plan.of(mesh, fields or {}, linear or {}, first)
-    chosen = {name: np.unique(np.asarray(e, dtype=np.int64)) for name, e in (groups or {}).items()}
+    fields, linear, groups = fields or {}, linear or {}, groups or {}
+    for name in [*fields, *linear, *groups]:
+        if not name.isprintable() or not name.strip() or name != name.strip() or "," in name:
+            raise InputError(f"{name!r}: no name for an EX file; give words without commas")
+    for name in [*fields, *linear]:
+        if name == COORDINATES or (name in fields and name in linear):
+            raise InputError(f"{name}: the name of another field; choose another")
+    if min(first) < 1:
+        raise InputError(f"first: numbers {first}; count from 1")
+    fields = {name: numbers(name, v, mesh.n_params, None) for name, v in fields.items()}
+    linear = {
+        name: numbers(name, v, mesh.n_elements, 2**mesh.dim, None) for name, v in linear.items()
+    }
+    plan = _Plan.of(mesh, fields, linear, first)
+    chosen = {name: np.unique(whole(name, e, mesh.n_elements)) for name, e in groups.items()}
     if path.suffix == ".exf":
         _write(path, _exf(plan, chosen))
     else:
@@ -207,7 +222,7 @@ class _Plan:
         plain = mesh.refine((1,) * dim)
         corners, founders = plain.corner_nodes()
         if (corners < 0).any():
-            raise ValueError("mesh: a corner's position depends on no parameter")
+            raise InputError("mesh: a corner's position depends on no parameter; mend its operator")
         pattern = plain.extraction
         filled = np.diff(pattern.indptr) > 0
         column = np.full(len(filled), -1, dtype=np.int64)
@@ -246,8 +261,7 @@ class _Plan:
                 **{name: np.asarray(read @ values) for name, values in fields.items()},
             },
             linear={
-                name: np.asarray(values, dtype=float)[founders[:, 0], founders[:, 1]]
-                for name, values in linear.items()
+                name: values[founders[:, 0], founders[:, 1]] for name, values in linear.items()
             },
             first=first,
         )

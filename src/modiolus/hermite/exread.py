@@ -315,7 +315,10 @@ class _Reader:
 
     def _declaration(self) -> tuple[str, str, int]:
         found = self._match(r"\d+\)\s*([^,]+),\s*(.*?)#Components\s*=\s*(\d+)")
-        return found[1].strip(), found[2].strip().rstrip(","), _count(found[3])
+        count = _count(found[3])
+        if not count:
+            raise _Damaged(f"the field {found[1].strip()[:40]!r} has no components")
+        return found[1].strip(), found[2].strip().rstrip(","), count
 
     def _node_header(self) -> list[_NodeField]:
         fields = []
