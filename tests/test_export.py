@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from modiolus.errors import InputError
 from modiolus.export import Shape, write_glb, write_vtu
 from modiolus.hermite import HermiteMesh, bricks, outward
 from modiolus.hermite.tessellate import Mirror, tessellate
+
+SKIN = Shape(np.eye(3), np.array([[0, 1, 2]]), (1.0, 1.0, 1.0), "skin")
 
 
 def block(counts=(3, 2, 1)):
@@ -158,3 +161,33 @@ def test_vtu_is_read_back(tmp_path):
     assert read.volume == pytest.approx(6000.0)
     assert set(read.point_data) == {"displacement", "J"}
     np.testing.assert_array_equal(read.point_data["displacement"], moved)
+
+
+@pytest.mark.parametrize(
+    ("write", "words"),
+    [
+        (lambda path: write_vtu(path, np.zeros((7, 3)), np.arange(8)[None], {}), "hexahedra: 7"),
+        (lambda path: write_vtu(path, np.zeros((8, 3)), np.arange(6)[None], {}), "6 corners"),
+        (lambda path: write_vtu(path, np.zeros((8, 2)), np.arange(8)[None], {}), "points: shape"),
+        (
+            lambda path: write_vtu(path, np.zeros((8, 3)), np.arange(8)[None], {"J": np.ones(3)}),
+            "J: shape",
+        ),
+        (lambda path: write_glb(path, [], {}), "shapes"),
+        (lambda path: write_glb(path, [SKIN], {"nose": {"a": SKIN.vertices}}), "0 shapes"),
+        (lambda path: write_glb(path, [SKIN, SKIN], {"skin": {"a": SKIN.vertices}}), "2 shapes"),
+        (lambda path: write_glb(path, [SKIN], {"skin": {"a": SKIN.vertices[:2]}}), "a: shape"),
+        (lambda path: write_glb(path, [SKIN], {"skin": {"a": np.nan * SKIN.vertices}}), "a: .*NaN"),
+    ],
+)
+def test_what_makes_no_file_is_refused(tmp_path, write, words):
+    with pytest.raises(InputError, match=words):
+        write(tmp_path / "file")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path, capfd):
+    with pytest.raises(OSError, match="gone") as error:
+        write_vtu(tmp_path / "gone" / "a.vtu", np.zeros((8, 3)), np.arange(8)[None], {})
+    assert error.value.filename.endswith("a.vtu")
+    assert capfd.readouterr() == ("", "")

@@ -12,6 +12,7 @@ from modiolus.face.head import Head
 from modiolus.face.moved import moved_muscles
 from modiolus.face.muscle import Muscle
 from modiolus.hermite import HermiteMesh, assemble
+from modiolus.hermite.check import numbers
 from modiolus.hermite.ex import FIBRES, write_ex
 
 __all__ = ["DEFORMED", "write_head_ex"]
@@ -46,11 +47,19 @@ def write_head_ex(
     -------
     dict of Path
         The files written, by what they hold.
+
+    Raises
+    ------
+    InputError
+        The parameters are not those of the head's tissue.
+    OSError
+        A file cannot be written.
     """
     suffix = ".exnode" if older else ".exf"
     muscles, corners, angles = _joined(head.muscles)
     states: list[dict[str, Floats]] = [{}, {}]
     if parameters is not None:
+        parameters = numbers("parameters", parameters, head.tissue.n_params, 3)
         moved = moved_muscles(head.muscles, head.tissue, parameters)
         states = [{DEFORMED: parameters}, {DEFORMED: _joined(moved)[0].parameters}]
     first = write_ex(folder / f"tissue{suffix}", head.tissue, states[0])

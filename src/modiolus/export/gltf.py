@@ -14,7 +14,9 @@ import pygltflib
 from numpy.typing import NDArray
 
 from modiolus import __version__
+from modiolus.errors import InputError
 from modiolus.export.shape import Shape, linear_light, vertex_normals
+from modiolus.hermite.check import numbers
 
 __all__ = ["write_glb"]
 
@@ -42,7 +44,20 @@ def write_glb(
         For the name of a shape: the vertices in mm at the full strength of each named target.
     attribution : str
         Who made the anatomy and under which licence.
+
+    Raises
+    ------
+    InputError
+        There is no shape or an empty one, or a target does not fit its shape.
+    OSError
+        The file cannot be written.
     """
+    names = [shape.name for shape in shapes]
+    if not shapes or not all(len(shape.faces) for shape in shapes):
+        raise InputError("shapes: there is none, or an empty one; leave it out")
+    for name in targets:
+        if names.count(name) != 1:
+            raise InputError(f"targets: {names.count(name)} shapes are called {name}; name one")
     writer = _Writer()
     for shape in shapes:
         writer.add(shape, targets.get(shape.name, {}))
@@ -98,7 +113,8 @@ class _Writer:
             colour = np.ones(3)
         triangles = np.ascontiguousarray(shape.faces, dtype=np.uint32).reshape(-1)
         morphs = []
-        for vertices in targets.values():
+        for name, vertices in targets.items():
+            numbers(name, vertices, *shape.vertices.shape)
             moved = (vertices - shape.vertices) @ _TO_GLTF * _MM_TO_M
             turned = vertex_normals(vertices, shape.faces) @ _TO_GLTF - normals
             morphs.append(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from modiolus.errors import InputError
+from modiolus.hermite.check import numbers, whole
 
 __all__ = ["write_vtu"]
 
@@ -29,7 +33,22 @@ def write_vtu(
         Corners in the order of VTK.
     arrays : mapping of str to (n,) or (n, k) array
         Values at the points.
+
+    Raises
+    ------
+    InputError
+        An array has another shape, a value is not finite, or a corner does not exist.
+    OSError
+        The file cannot be written.
     """
+    points = numbers("points", points, None, 3)
+    hexahedra = whole("hexahedra", hexahedra, len(points), ndim=2)
+    if hexahedra.shape[1] != 8:
+        raise InputError(f"hexahedra: {hexahedra.shape[1]} corners each; give 8")
+    for name, values in arrays.items():
+        numbers(name, values, len(points), *[None] * (np.ndim(values) == 2))
+    # VTK would not say why it cannot.
+    path.touch()
     # These parts of VTK need no OpenGL.
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkPoints
@@ -38,13 +57,13 @@ def write_vtu(
 
     grid = vtkUnstructuredGrid()
     corners = vtkPoints()
-    corners.SetData(numpy_to_vtk(np.ascontiguousarray(points, dtype=float), deep=True))
+    corners.SetData(numpy_to_vtk(np.ascontiguousarray(points), deep=True))
     grid.SetPoints(corners)
     offsets = np.arange(0, 8 * len(hexahedra) + 1, 8, dtype=np.int64)
     cells = vtkCellArray()
     cells.SetData(
         numpy_to_vtkIdTypeArray(offsets, deep=True),
-        numpy_to_vtkIdTypeArray(np.ascontiguousarray(hexahedra, np.int64).ravel(), deep=True),
+        numpy_to_vtkIdTypeArray(np.ascontiguousarray(hexahedra).ravel(), deep=True),
     )
     grid.SetCells(VTK_HEXAHEDRON, cells)
     for name, values in arrays.items():
@@ -57,4 +76,4 @@ def write_vtu(
     writer.SetInputData(grid)
     writer.SetCompressorTypeToZLib()
     if writer.Write() != 1:
-        raise OSError(f"{path}: VTK could not write the file")
+        raise OSError(errno.EIO, "VTK could not write the file", str(path))
