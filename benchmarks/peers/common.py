@@ -51,6 +51,16 @@ KAPPA = {"land": 0.0, "muscle": 2.0}
 #: Pressure that balances the stress at rest of the energies as they are written here.
 PRESSURE_AT_REST = {"land": 0.0, "muscle": -2.0 * C10}
 
+#: First step of the load.
+STEP = {"land": 0.5, "muscle": 0.25}
+#: Of Newton's method in a step, before it is halved.
+MOST_ITERATIONS = 12
+#: Greatest correction of an unknown at which a step ends, and at which it is given up.
+TOLERANCE, ASTRAY = 1e-6, 1e3
+
+#: Elements along each axis, and the growth along x.
+Mesh = tuple[tuple[int, int, int], float]
+
 
 def ticks(case: str, counts: Sequence[int], growth: float) -> list[Array]:
     """Return where the planes between the elements lie along each axis.
@@ -187,15 +197,6 @@ def climb(
         iterations += more
         slope, state, reached = (found - state) / step, found, reached + step
     return state, iterations
-
-
-#: Of Newton's method in a step, before it is halved.
-MOST_ITERATIONS = 12
-#: Greatest correction of an unknown at which a step ends, and at which it is given up.
-TOLERANCE, ASTRAY = 1e-6, 1e3
-
-#: Elements along each axis, and the growth along x.
-Mesh = tuple[tuple[int, int, int], float]
 
 
 #: Displacement of the tip on fine meshes: 3.1646 mm on 24 x 3 x 3 quadratic elements and 3.167 on

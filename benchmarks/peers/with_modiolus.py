@@ -5,22 +5,10 @@ One layer of elements in height: fibres have points of their own and need no ele
 
 from __future__ import annotations
 
+import common
 import numba
 import numpy as np
 import scipy
-from common import (
-    C10,
-    CASES,
-    PRESSURE,
-    TENSION,
-    Answer,
-    B,
-    C,
-    DivergedError,
-    Mesh,
-    measure,
-    ticks,
-)
 
 import modiolus
 from modiolus.errors import SolveError
@@ -39,29 +27,28 @@ from modiolus.mechanics import (
 )
 from modiolus.verify.meshes import side
 
-#: First step of the load, and beside the pressure a volumetric stiffness.
-STEP = {"land": 0.5, "muscle": 0.25}
+#: Volumetric stiffness in kPa beside the pressure.
 KAPPA = {"land": 20.0, "muscle": 2.0}
 
 
-def answer(case: str, shape: Mesh) -> Answer:
+def answer(case: str, shape: common.Mesh) -> common.Answer:
     """Solve a case."""
     counts, growth = shape
     if case == "muscle":
         counts = (*counts[:2], 1)
-    mesh = bricks(ticks(case, counts, growth))
+    mesh = bricks(common.ticks(case, counts, growth))
     fixed = clamp(mesh, side(mesh, 0, 0.0), 0, 0)
-    settings = Settings(tolerance=1e-5, passing=1e-2, first_step=STEP[case])
+    settings = Settings(tolerance=1e-5, passing=1e-2, first_step=common.STEP[case])
     if case == "land":
         problem = Problem(
             mesh,
-            Guccione(C, B[0, 0], B[1, 1], B[0, 1]).array([1.0, 0.0, 0.0]),
+            Guccione(common.C, *common.B[[0, 1, 0], [0, 1, 1]]).array([1.0, 0.0, 0.0]),
             formulation=Formulation(Law.GUCCIONE),
             terms=[FollowerPressure(mesh, side(mesh, 2, 0.0), 2, 0, n=4)],
             kappa=KAPPA[case],
             fixed=fixed,
         )
-        load = Load(forces={"pressure": PRESSURE})
+        load = Load(forces={"pressure": common.PRESSURE})
     else:
         xi, weights = gauss(3, 4)
         hosts = np.repeat(np.arange(mesh.n_elements), len(weights))
@@ -70,26 +57,26 @@ def answer(case: str, shape: Mesh) -> Answer:
         along = np.tile([1.0, 0.0, 0.0], (len(hosts), 1))
         problem = Problem(
             mesh,
-            [C10, 0.0, 0.0],
+            [common.C10, 0.0, 0.0],
             terms=[Tension(mesh, hosts, xi, volume, along)],
             kappa=KAPPA[case],
             fixed=fixed,
         )
-        load = Load(forces={"tension": TENSION})
+        load = Load(forces={"tension": common.TENSION})
     try:
         state = solve(problem, load, settings=settings)
     except SolveError as error:
-        raise DivergedError from error
-    tip = mesh.locate([CASES[case].tip])
+        raise common.DivergedError from error
+    tip = mesh.locate([common.CASES[case].tip])
     height = float(state.mesh.evaluate(tip.elements, tip.xi)[0, 2])
-    return Answer(
+    return common.Answer(
         mesh.n_elements,
         problem.n_unknowns,
         state.statistics.newton_iterations,
-        height - CASES[case].tip[2],
+        height - common.CASES[case].tip[2],
     )
 
 
 if __name__ == "__main__":
     versions = {"modiolus": modiolus.__version__, "SciPy": scipy.__version__}
-    measure(answer, versions | {"Numba": numba.__version__})
+    common.measure(answer, versions | {"Numba": numba.__version__})

@@ -6,34 +6,12 @@ pair of functions, took about eight times as long on these small meshes.
 
 from __future__ import annotations
 
+import common
 import numpy as np
 import pypardiso
 import scipy
 import scipy.sparse as sp
 import skfem
-from common import (
-    ASTRAY,
-    CASES,
-    KAPPA,
-    MOST_ITERATIONS,
-    PRESSURE,
-    PRESSURE_AT_REST,
-    TENSION,
-    TOLERANCE,
-    Answer,
-    DivergedError,
-    Mesh,
-    climb,
-    cofactor,
-    cofactor_slope,
-    first_piola,
-    measure,
-    stiffness,
-    ticks,
-)
-
-#: First step of the load.
-STEP = {"land": 0.5, "muscle": 0.25}
 
 
 class Shapes:
@@ -53,15 +31,15 @@ def at_points(value: np.ndarray, axes: int) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(value, (axes, axes + 1), (0, 1)))
 
 
-def solve(case: str, mesh: Mesh) -> Answer:
+def solve(case: str, mesh: common.Mesh) -> common.Answer:
     """Solve a case."""
-    size = CASES[case].size
-    grid = skfem.MeshHex.init_tensor(*ticks(case, *mesh))
+    size = common.CASES[case].size
+    grid = skfem.MeshHex.init_tensor(*common.ticks(case, *mesh))
     body = skfem.Basis(grid, skfem.ElementHex2(), intorder=4)
     pressure_basis = body.with_element(skfem.ElementHex1())
     n, n_pressure = body.N, pressure_basis.N
     where = body.global_coordinates()
-    active = TENSION * (np.asarray(where)[2] < 0.5 * size[2])
+    active = common.TENSION * (np.asarray(where)[2] < 0.5 * size[2])
     if case == "land":
         below = skfem.FacetBasis(
             grid,
@@ -74,7 +52,7 @@ def solve(case: str, mesh: Mesh) -> Answer:
     held = np.concatenate([clamped + k * n for k in range(3)])
     free = np.setdiff1d(np.arange(3 * n + n_pressure), held)
     start = np.zeros(3 * n + n_pressure)
-    start[3 * n :] = PRESSURE_AT_REST[case]
+    start[3 * n :] = common.PRESSURE_AT_REST[case]
     solver = pypardiso.PyPardisoSolver()
 
     inside, scalars = Shapes(body), Shapes(pressure_basis)
@@ -91,13 +69,13 @@ def solve(case: str, mesh: Mesh) -> Answer:
     def system(x: np.ndarray, factor: float) -> tuple[sp.csr_matrix, np.ndarray]:
         f = gradient(inside, x)
         p = np.einsum("eqc,ec->eq", scalars.values, x[pressures])
-        cof, tension = cofactor(f), factor * active
+        cof, tension = common.cofactor(f), factor * active
         excess = (f[0] * cof[0]).sum(axis=0) - 1.0
-        whole = p + KAPPA[case] * excess
-        stress = first_piola(case, f, tension) + whole * cof
-        a = stiffness(case, f, tension) + whole * cofactor_slope(f)
-        if KAPPA[case]:
-            a += KAPPA[case] * np.einsum("ij...,kl...->ijkl...", cof, cof)
+        whole = p + common.KAPPA[case] * excess
+        stress = common.first_piola(case, f, tension) + whole * cof
+        a = common.stiffness(case, f, tension) + whole * common.cofactor_slope(f)
+        if common.KAPPA[case]:
+            a += common.KAPPA[case] * np.einsum("ij...,kl...->ijkl...", cof, cof)
 
         flux = at_points(a, 4).reshape(e, q, 27, 3) @ inside.slopes
         flux = flux.reshape(e, q, 3, 3, 3, 27).transpose(0, 1, 3, 2, 4, 5).reshape(e, 3 * q, -1)
@@ -116,8 +94,8 @@ def solve(case: str, mesh: Mesh) -> Answer:
         right += np.bincount(pressures.ravel(), volume.ravel(), len(x))
         if case == "land":
             f = gradient(under, x)
-            area = -factor * PRESSURE * at_points(cofactor(f)[:, 2], 1)
-            slope = -factor * PRESSURE * at_points(cofactor_slope(f)[:, 2], 3)
+            area = -factor * common.PRESSURE * at_points(common.cofactor(f)[:, 2], 1)
+            slope = -factor * common.PRESSURE * at_points(common.cofactor_slope(f)[:, 2], 3)
             values = under.values * under.dx[..., None]
             press = np.einsum("eqa,eqi->eia", values, area)
             square = np.einsum("eqa,eqikm,eqmb->eiakb", values, slope, under.slopes, optimize=True)
@@ -136,22 +114,22 @@ def solve(case: str, mesh: Mesh) -> Answer:
 
     def settle(factor: float, guess: np.ndarray) -> tuple[np.ndarray, int]:
         x = guess.copy()
-        for iteration in range(MOST_ITERATIONS):
+        for iteration in range(common.MOST_ITERATIONS):
             matrix, right = system(x, factor)
             change = solver.solve(matrix[free][:, free], right[free])
             x[free] -= change
             largest = np.abs(change).max()
-            if largest < TOLERANCE:
+            if largest < common.TOLERANCE:
                 return x, iteration + 1
-            if not largest < ASTRAY:
+            if not largest < common.ASTRAY:
                 break
-        raise DivergedError
+        raise common.DivergedError
 
-    x, iterations = climb(settle, start, STEP[case])
+    x, iterations = common.climb(settle, start, common.STEP[case])
     solver.free_memory(everything=True)
-    tip = body.probes(np.array(CASES[case].tip)[:, None]) @ x[2 * n : 3 * n]
-    return Answer(e, len(free), iterations, float(tip[0]))
+    tip = body.probes(np.array(common.CASES[case].tip)[:, None]) @ x[2 * n : 3 * n]
+    return common.Answer(e, len(free), iterations, float(tip[0]))
 
 
 if __name__ == "__main__":
-    measure(solve, {"scikit-fem": skfem.__version__, "SciPy": scipy.__version__})
+    common.measure(solve, {"scikit-fem": skfem.__version__, "SciPy": scipy.__version__})
