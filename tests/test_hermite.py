@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from modiolus.errors import InputError
 from modiolus.hermite import HermiteMesh, assemble, basis, bricks, gauss, grid, linear
+from modiolus.hermite.rows import same_rows
 from modiolus.hermite.tessellate import tessellate
 
 
@@ -222,3 +223,18 @@ def test_a_mesh_keeps_its_own_parameters() -> None:
     moved[:] = 0.0
     assert np.allclose(other.evaluate([0], [[0, 0, 0]]), 1.0)
     assert len({mesh, other}) == 2
+
+
+def test_rows_are_told_apart_but_for_round_off() -> None:
+    tie = 0.3000000005
+    rows = np.array(
+        [[0, 0, 0], [tie, 1, 0], [np.nextafter(tie, 1), 1, 0], [2 * tie, 2, 0], [1, 0, 0]]
+    )
+    index, factor, first = same_rows(sp.csr_matrix(rows))
+    assert index.tolist() == [-1, 0, 0, 1, 2]
+    assert factor.tolist() == [0, 1, 1, 1, 1] and first.tolist() == [1, 3, 4]
+    index, factor, first = same_rows(sp.csr_matrix(rows), scaled=True)
+    assert index.tolist() == [-1, 0, 0, 0, 1]
+    assert factor.tolist() == [0, 1, 1, 2, 1] and first.tolist() == [1, 4]
+    index, _, _ = same_rows(sp.csr_matrix(rows), scaled=True, apart=np.array([0, 0, 1, 0, 1]))
+    assert index.tolist() == [-1, 0, 1, 0, 2]

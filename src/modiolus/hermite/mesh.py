@@ -15,6 +15,7 @@ from .basis import Array, basis
 from .check import numbers, whole
 from .locate import Location, locate
 from .quadrature import Quadrature, gauss
+from .rows import same_rows
 
 IntArray = NDArray[np.int64]
 
@@ -264,15 +265,14 @@ class HermiteMesh:
         Returns
         -------
         corners : (n_elements, 2**dim) int array
-            Vertex index of every corner; corners with the same position functional share it.
+            Vertex index of every corner; corners with the same position functional share it. -1
+            where no parameter moves it.
         first : (n_vertices, 2) int array
             Element and corner of the first occurrence.
         """
-        from .refine import group_rows
-
         rows = np.arange(self.n_elements)[:, None] * 4**self.dim
         rows = (rows + np.arange(2**self.dim) * 2**self.dim).ravel()
-        index, _, first = group_rows(self.extraction[rows], scaled=False)
+        index, _, first = same_rows(self.extraction[rows])
         where = np.stack(np.divmod(first, 2**self.dim), axis=1)
         return index.reshape(self.n_elements, -1), where
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from .basis import Array
 from .mesh import HermiteMesh
+from .rows import same_rows
 
 IntArray = NDArray[np.int64]
 
@@ -77,7 +78,8 @@ def tessellate(mesh: HermiteMesh, n: int, outward: ArrayLike = 1) -> Tessellatio
     Raises
     ------
     InputError
-        The mesh is a curve, or there is nothing to divide into.
+        The mesh is a curve, a point of it depends on no parameter, or there is nothing to divide
+        into.
     """
     if mesh.dim not in (2, 3):
         raise InputError(f"mesh: dimension {mesh.dim} cannot be tessellated; give a 2 or a 3")
@@ -89,7 +91,9 @@ def tessellate(mesh: HermiteMesh, n: int, outward: ArrayLike = 1) -> Tessellatio
     elements = np.repeat(np.arange(mesh.n_elements), len(local))
     xi = np.tile(local, (mesh.n_elements, 1))
     functions = mesh.functions(elements, xi)
-    vertex, first = _same_functionals(functions)
+    vertex, _, first = same_rows(functions)
+    if (vertex < 0).any():
+        raise InputError("mesh: a point depends on no parameter; mend its extraction")
 
     strides = (n + 1) ** np.arange(mesh.dim)
     lows = np.stack(np.meshgrid(*[np.arange(n)] * mesh.dim, indexing="ij")[::-1], axis=-1)
@@ -156,22 +160,3 @@ class Mirror:
     def values(self, half: Array) -> Array:
         """Return values (n, ...) on the whole from values on the half."""
         return half[self.source]
-
-
-def _same_functionals(functions: sp.csr_matrix) -> tuple[IntArray, IntArray]:
-    """Tell rows apart; return the number of every row and the first row of each number.
-
-    Rows are told apart by their products with two random vectors, which agree to round-off for
-    equal rows and otherwise practically never.
-    """
-    probes = np.random.default_rng(0).standard_normal((functions.shape[1], 2))
-    keys = np.asarray(functions @ probes)
-    order = np.argsort(keys[:, 0], kind="stable")
-    steps = np.abs(np.diff(keys[order], axis=0)) > 1e-10
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.concatenate([[0], np.cumsum(steps.any(axis=1))])
-    # Number by first appearance, so that neighbours in space are neighbours in memory.
-    _, first, number = np.unique(number, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[number], np.sort(first)
