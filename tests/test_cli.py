@@ -100,6 +100,7 @@ def test_bad_input_is_one_line(run, tmp_path, arguments, words, as_json):
     ("text", "words"),
     [
         ("activations = [", ["not a TOML file"]),
+        ("activations = " + 100_000 * "[", ["not a TOML file"]),
         ("", ["no activations"]),
         ("[activations]\n", ["no activations"]),
         ("[activations]\nmentalis = 'much'\n", ["mentalis", "0 to 1"]),

@@ -45,8 +45,9 @@ def test_check_measures_its_error(check, error, passed):
 
 
 @pytest.mark.parametrize("at_least", [False, True])
-def test_what_is_not_a_number_fails(at_least):
-    assert not Check("nothing", 1.0, math.nan, 1e9, at_least=at_least).passed
+@pytest.mark.parametrize("got", [math.nan, math.inf])
+def test_what_is_not_a_number_fails(got, at_least):
+    assert not Check("nothing", 1.0, got, 1e9, at_least=at_least).passed
 
 
 def test_unknown_case_is_refused_with_the_nearest_names():

@@ -18,6 +18,11 @@ def read_toml(path: Path, mend: str = "name a TOML file") -> dict[str, Any]:
     mend : str
         What to do when it cannot be read.
 
+    Returns
+    -------
+    dict
+        The table of the file.
+
     Raises
     ------
     InputError
@@ -27,5 +32,5 @@ def read_toml(path: Path, mend: str = "name a TOML file") -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not a TOML file ({error}); mend it") from None

@@ -111,16 +111,16 @@ class FaceScene:
 
     def _with_jaw(self, shape: Shape, angle: float) -> Shape:
         """Return a deep structure where the jaw has taken it."""
-        share = FOLLOWERS.get(shape.name, 0.0)
-        if angle == 0.0 or self._head.jaw is None:
+        # The lower edge of the dark goes with the jaw.
+        dark = shape.name == "mouth"
+        share = 1.0 if dark else FOLLOWERS.get(shape.name, 0.0)
+        if angle == 0.0 or share == 0.0 or self._head.jaw is None:
             return shape
         rotation, shift = self._head.jaw.pose(share * angle)
         vertices = shape.vertices @ rotation.T + shift
-        if shape.name == "mouth":
-            # The lower edge of the dark goes with the jaw.
-            rotation, shift = self._head.jaw.pose(angle)
+        if dark:
             low = shape.vertices[:, 2] < shape.vertices[:, 2].mean()
-            vertices = np.where(low[:, None], shape.vertices @ rotation.T + shift, shape.vertices)
+            vertices = np.where(low[:, None], vertices, shape.vertices)
         return replace(shape, vertices=vertices)
 
     def _paint(self, head: Head, skin: list[str]) -> Floats:

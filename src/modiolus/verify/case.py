@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -33,11 +34,10 @@ class Check:
     @property
     def error(self) -> float:
         """Distance from what was expected; not a number where nothing could be computed."""
+        if not math.isfinite(self.got):
+            return math.nan
         error = self.expected - self.got if self.at_least else abs(self.got - self.expected)
-        if self.relative:
-            error /= abs(self.expected)
-        # `max` would lose a NaN in its second place.
-        return error if error != error or error > 0.0 else 0.0
+        return max(error / abs(self.expected) if self.relative else error, 0.0)
 
     @property
     def passed(self) -> bool:
