@@ -65,6 +65,11 @@ def test_surfaces_hide_lines_behind_them():
     np.testing.assert_allclose(picture[40, 12], [0.0, 0.0, 1.0], atol=0.02)
 
 
+def test_what_is_behind_the_camera_is_not_drawn():
+    near = Camera((0.0, 0.0, 0.0), height=40.0, distance=50.0)
+    assert background(draw([ball((0.0, -60.0, 0.0))], [], near, 20, 20))
+
+
 def test_drawing_is_repeatable():
     np.testing.assert_array_equal(
         draw([ball()], [], CAMERA, 60, 60), draw([ball()], [], CAMERA, 60, 60)
@@ -142,6 +147,10 @@ print(Path("/proc/self/maps").read_text())
         (lambda: Shape(np.zeros((3, 3)), np.array([[0, 1, 2]]), np.zeros((2, 3))), "colour"),
         (lambda: Scale("mm", 1.0, 1.0), "scale: 1 to 1"),
         (lambda: Scale("mm", 0.0, np.nan), "scale: 0 to nan"),
+        (lambda: Camera((0.0, 0.0, 0.0), 0.0), "camera: height 0"),
+        (lambda: Camera((0.0, np.nan, 0.0), 1.0), "camera: target"),
+        (lambda: Curves(np.zeros((3, 3)), np.array([2]), (0.0, 0.0, 1.0)), "3 points"),
+        (lambda: Curves(np.zeros((3, 3)), np.array([3, 0]), (0.0, 0.0, 1.0)), "3 points"),
         (lambda: figure([], Path("page.png"), 1), "panels: 0"),
         (lambda: figure([Panel(CAMERA)], Path("page.png"), 0), "0 columns"),
     ],

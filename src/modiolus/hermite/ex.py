@@ -62,7 +62,7 @@ class ExField:
 
     def evaluate(self, elements: ArrayLike, xi: ArrayLike) -> Array:
         """Evaluate the field at points of elements, (n, components); NaN where undefined."""
-        elements = np.asarray(elements, dtype=np.int64)
+        elements = whole("elements", elements, len(self.defined))
         size = self.extraction.shape[0] // len(self.defined)
         dim = (size.bit_length() - 1) // 2
         local = np.asarray(self.extraction @ self.parameters).reshape(-1, size, self.n_components)

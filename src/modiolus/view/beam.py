@@ -71,8 +71,9 @@ def _edges(mesh: HermiteMesh) -> Curves:
 def _fibres(rest: HermiteMesh, mesh: HermiteMesh, angle: float) -> Curves:
     """Return the fibres of the slab, drawn on the top of the beam that carries them along."""
     direction = fibre_direction(angle)
-    slab = slab_mesh().evaluate(*slab_mesh().gauss_points(2)[:2])
-    low, high = slab.min(axis=0), slab.max(axis=0)
+    slab = slab_mesh()
+    inside = slab.evaluate(*slab.gauss_points(2)[:2])
+    low, high = inside.min(axis=0), inside.max(axis=0)
     low[2] = high[2] = SIZE[2]
     middle = 0.5 * (low + high)
     across = np.array([-direction[1], direction[0], 0.0])

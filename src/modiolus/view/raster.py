@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from modiolus.errors import InputError
 from modiolus.export.shape import Shape, linear_light, vertex_normals
+from modiolus.hermite.check import numbers, whole
 
 __all__ = ["BACKGROUND", "Camera", "Curves", "draw"]
 
@@ -42,6 +44,11 @@ class Camera:
         How high it stands, in degrees above the horizon.
     distance : float
         Distance from the target, in mm. The default is that of a portrait photograph.
+
+    Raises
+    ------
+    InputError
+        The height or the distance is not above 0, or a number is not finite.
     """
 
     target: tuple[float, float, float]
@@ -49,6 +56,15 @@ class Camera:
     azimuth: float = 0.0
     elevation: float = 0.0
     distance: float = 1400.0
+
+    def __post_init__(self) -> None:
+        numbers("camera: target", self.target, 3)
+        numbers("camera: angles", (self.azimuth, self.elevation), 2)
+        if not (0.0 < self.height < np.inf and 0.0 < self.distance < np.inf):
+            raise InputError(
+                f"camera: height {self.height:g} and distance {self.distance:g} mm; give both "
+                "above 0"
+            )
 
     def axes(self) -> Floats:
         """Return the unit vectors to the right, upwards and towards the viewer, as rows (3, 3)."""
@@ -102,6 +118,11 @@ class Curves:
         Width in pixels.
     lift : float
         How far the lines are moved towards the viewer, in mm, so that they show on a surface.
+
+    Raises
+    ------
+    InputError
+        The lengths do not add up to the points, or a point is not finite.
     """
 
     points: Floats
@@ -110,19 +131,25 @@ class Curves:
     width: float = 1.0
     lift: float = 0.3
 
+    def __post_init__(self) -> None:
+        n = len(numbers("curves: points", self.points, None, 3))
+        if (whole("curves: lengths", self.lengths, n + 1) < 1).any() or sum(self.lengths) != n:
+            raise InputError(f"curves: lengths do not add up to the {n} points; mend them")
+
 
 @numba.njit(cache=True)
 def _scan(points, faces, depth, owner, weights):  # type: ignore[no-untyped-def]
     """Scan-convert triangles into the buffers, nearest first.
 
     `points` (n, 3) are column, row and depth; `depth` (h, w), `owner` (h, w) and `weights`
-    (h, w, 3) are changed in place. The weights are corrected for perspective.
+    (h, w, 3) are changed in place. The weights are corrected for perspective. What reaches behind
+    the camera is left out.
     """
     rows, columns = depth.shape
     for face in range(faces.shape[0]):
         a, b, c = points[faces[face, 0]], points[faces[face, 1]], points[faces[face, 2]]
         twice_area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if abs(twice_area) < 1e-12:
+        if abs(twice_area) < 1e-12 or min(a[2], b[2], c[2]) <= 0.0:
             continue
         first_row = max(int(np.ceil(min(a[1], b[1], c[1]) - 0.5)), 0)
         last_row = min(int(np.floor(max(a[1], b[1], c[1]) - 0.5)), rows - 1)
@@ -298,13 +325,14 @@ def draw(
         sRGB colours, 0 to 1.
     """
     columns, rows = width * _SUPERSAMPLING, height * _SUPERSAMPLING
-    solid = [*shapes, *(_ribbons(line, camera, camera.height / height) for line in curves)]
-    solid = [shape for shape in solid if len(shape.faces)]
+    surfaces = [shape for shape in shapes if len(shape.faces)]
+    ribbons = [_ribbons(line, camera, camera.height / height) for line in curves]
+    solid = [*surfaces, *(ribbon for ribbon in ribbons if len(ribbon.faces))]
     image = np.empty((rows, columns, 3))
     image[:] = linear_light(np.array(BACKGROUND))
     if not solid:
         return _srgb(image[:height, :width])
-    scene = _Scene.join(solid, len([shape for shape in shapes if len(shape.faces)]))
+    scene = _Scene.join(solid, len(surfaces))
 
     depth = np.full((rows, columns), np.inf)
     owner = np.full((rows, columns), -1, dtype=np.int64)
