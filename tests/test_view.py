@@ -67,7 +67,7 @@ def test_surfaces_hide_lines_behind_them():
 
 def test_what_is_behind_the_camera_is_not_drawn():
     near = Camera((0.0, 0.0, 0.0), height=40.0, distance=50.0)
-    assert background(draw([ball((0.0, -60.0, 0.0))], [], near, 20, 20))
+    assert background(draw([ball((0.0, -70.0, 0.0))], [], near, 20, 20))
 
 
 def test_drawing_is_repeatable():
