@@ -12,6 +12,7 @@ from modiolus.anatomy.surface import Surface
 from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.face.head import Head
+from modiolus.fitting.register import Registration
 from modiolus.mechanics import (
     Continuation,
     FibreQuadrature,
@@ -21,7 +22,7 @@ from modiolus.mechanics import (
     clamp,
 )
 from modiolus.scans import read_scan
-from modiolus.scans.align import place, read_landmarks, register_scan
+from modiolus.scans.align import align_to_neutral, place, read_landmarks, register_scan
 from modiolus.scans.compare import compare, figures
 from modiolus.scans.identify import _certainty, _Matches, _Point, muscle_set
 from modiolus.scans.result import STATE_FILE, load_result, save_state
@@ -225,6 +226,24 @@ def test_unknown_pose_and_unit_are_recovered(skin, head):
     assert np.sqrt(np.mean(error**2)) < 0.25
     assert alignment.pose.scale == pytest.approx(1000.0, rel=2e-3)
     assert alignment.scatter_mm < 1.0
+
+
+def test_a_raised_forehead_does_not_move_a_pose_that_is_known(skin, head):
+    surface = skin.surface(head.tissue.parameters)
+    feet = skin.state(head.tissue.parameters).feet(surface.vertices)
+    height = 1.5 * (skin.zones(feet) == 0)
+    raised = surface.vertices + height[:, None] * surface.vertex_normals
+    neutral, scan = scan_of(surface), scan_of(Surface(raised, surface.faces, "raised"))
+    known = Registration(1.0, np.eye(3), np.zeros(3))
+    found = align_to_neutral(scan, neutral, skin, known)
+    assert found.pose is known
+    assert found.deviation_mm > 0.5
+    # The forehead that moved is no reason to leave a head unturned.
+    turn = Rotation.from_euler("x", 4.0, degrees=True).as_matrix()
+    turned = align_to_neutral(
+        scan_of(Surface(raised @ turn.T, surface.faces, "turned")), neutral, skin, known
+    )
+    assert Rotation.from_matrix(turned.pose.rotation @ turn).magnitude() < np.radians(1.0)
 
 
 def test_landmarks_align_too_and_are_checked(skin, head, tmp_path):

@@ -183,6 +183,10 @@ class _Table:
             try:
                 with Progress(title, quiet=self.quiet) as progress:
                     found, moved, jaw, extra = self._solve(name, scan, way, progress)
+                    error = found.distances.of(found.distances.error, found.distances.covered)
+                    progress.update(
+                        1.0, f"{error.rms:.3f} mm, explained {found.distances.explained:.0%}"
+                    )
             except SolveError as error:
                 self.rows.append(self._row(name, way, None, began) | {"fault": str(error)})
                 continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,13 @@ class Alignment:
     def scatter_mm(self) -> float:
         """The largest of `zones`: how stable the pose is."""
         return max(self.zones.values(), default=float("inf"))
+
+    @property
+    def deviation_mm(self) -> float:
+        """Standard deviation of the pose by the jackknife over the zones; 0 where it has none."""
+        shifts = np.array(list(self.zones.values()))
+        share = (len(shifts) - 1) / max(len(shifts), 1)
+        return float(np.sqrt(max(share, 0.0) * (shifts**2).sum()))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures for a report."""
@@ -259,17 +266,25 @@ def align_to_neutral(
     if start is None:
         moved = scan.placed(_resized(neutral_pose))
         try:
-            found = register(moved.surface, placed.surface, scaled=False)
+            whole = register(moved.surface, placed.surface, scaled=False)
         except SolveError as error:
             raise InputError(f"{scan.name}: no face found; {error}") from None
-        if found.facing < 0.0:
+        if whole.facing < 0.0:
             raise InputError(f"{scan.name}: mirrored against {neutral.name}; mirror it back")
-        if not found.rms < _WORST_RMS or abs(np.log(found.scale)) > 0.3:
+        if not whole.rms < _WORST_RMS or abs(np.log(whole.scale)) > 0.3:
             raise InputError(
                 f"{scan.name}: not the face of {neutral.name} in the same unit; give both alike"
             )
-        start = _chained(found, _resized(neutral_pose))
-    return _on_still_parts(scan, skin, start, placed)
+        start = _chained(whole, _resized(neutral_pose))
+    found = _on_still_parts(scan, skin, start, placed)
+    # Where the still parts cannot tell the pose from that of the neutral scan, it is that: both
+    # were taken in one frame. A raised brow moves the forehead more than a still head does.
+    feet = skin.state(skin.head.tissue.parameters).feet(placed.points, placed.normals)
+    face = neutral.points[feet.covered]
+    apart = found.pose.apply(face) - neutral_pose.apply(face)
+    if np.sqrt((apart**2).sum(axis=1).mean()) < found.deviation_mm:
+        return replace(found, pose=neutral_pose)
+    return found
 
 
 def _resized(pose: Registration) -> Registration:
