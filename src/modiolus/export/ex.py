@@ -6,25 +6,24 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modiolus.face.head import Head
 from modiolus.face.moved import moved_muscles
 from modiolus.face.muscle import Muscle
 from modiolus.hermite import HermiteMesh, assemble
+from modiolus.hermite.basis import Array, IntArray
 from modiolus.hermite.check import numbers
 from modiolus.hermite.ex import FIBRES, write_ex
 
 __all__ = ["DEFORMED", "write_head_ex"]
 
-Floats = NDArray[np.float64]
 
 #: Field of the position in a computed state.
 DEFORMED = "deformed"
 
 
 def write_head_ex(
-    head: Head, folder: Path, parameters: Floats | None = None, older: bool = False
+    head: Head, folder: Path, parameters: Array | None = None, older: bool = False
 ) -> dict[str, Path]:
     """Write the tissue and the muscles of a head.
 
@@ -57,7 +56,7 @@ def write_head_ex(
     """
     suffix = ".exnode" if older else ".exf"
     muscles, corners, angles = _joined(head.muscles)
-    states: list[dict[str, Floats]] = [{}, {}]
+    states: list[dict[str, Array]] = [{}, {}]
     if parameters is not None:
         parameters = numbers("parameters", parameters, head.tissue.n_params, 3)
         moved = moved_muscles(head.muscles, head.tissue, parameters)
@@ -79,7 +78,7 @@ def write_head_ex(
     }
 
 
-def _joined(muscles: Mapping[str, Muscle]) -> tuple[HermiteMesh, NDArray[np.int64], Floats]:
+def _joined(muscles: Mapping[str, Muscle]) -> tuple[HermiteMesh, IntArray, Array]:
     """Return muscles as one mesh, its corners' nodes, and the angles at the nodes."""
     corners, nodes, angles, count = [], [], [], 0
     for muscle in muscles.values():
@@ -92,7 +91,7 @@ def _joined(muscles: Mapping[str, Muscle]) -> tuple[HermiteMesh, NDArray[np.int6
     return assemble(joined, np.concatenate(nodes)), joined, np.concatenate(angles)
 
 
-def _groups(muscles: Mapping[str, Muscle]) -> dict[str, NDArray[np.int64]]:
+def _groups(muscles: Mapping[str, Muscle]) -> dict[str, IntArray]:
     groups, count = {}, 0
     for name, muscle in muscles.items():
         groups[name] = count + np.arange(muscle.mesh.n_elements)

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from modiolus import __version__
 from modiolus.errors import InputError
 from modiolus.export.shape import Shape, linear_light, vertex_normals
+from modiolus.hermite.basis import Array
 from modiolus.hermite.check import numbers
 
 __all__ = ["write_glb"]
 
-Floats = NDArray[np.float64]
 
 _TO_GLTF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _MM_TO_M = 1e-3
@@ -29,7 +29,7 @@ _MM_TO_M = 1e-3
 def write_glb(
     path: Path,
     shapes: Sequence[Shape],
-    targets: Mapping[str, Mapping[str, Floats]],
+    targets: Mapping[str, Mapping[str, Array]],
     attribution: str = "",
 ) -> None:
     """Write surfaces with their morph targets as one binary glTF file.
@@ -94,12 +94,12 @@ class _Writer:
         )
         return len(gltf.accessors) - 1
 
-    def vectors(self, array: Floats, bounds: bool = False) -> int:
+    def vectors(self, array: Array, bounds: bool = False) -> int:
         """Append vectors per vertex, (n, 3)."""
         single = np.ascontiguousarray(array, dtype=np.float32)
         return self.accessor(single, pygltflib.VEC3, pygltflib.ARRAY_BUFFER, bounds)
 
-    def add(self, shape: Shape, targets: Mapping[str, Floats]) -> None:
+    def add(self, shape: Shape, targets: Mapping[str, Array]) -> None:
         """Add a shape as a node of its own."""
         gltf = self.gltf
         normals = vertex_normals(shape.vertices, shape.faces) @ _TO_GLTF

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
 from modiolus.face.jaw import FOLLOWERS
+from modiolus.hermite.basis import Array
 from modiolus.hermite.tessellate import Mirror, Tessellation, tessellate
 
 __all__ = ["FaceScene", "eye"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _SKIN = np.array([0.87, 0.68, 0.58])
 _LIP = np.array([0.78, 0.50, 0.45])
@@ -66,18 +64,18 @@ class FaceScene:
         self.colours = self._paint(head, skin)
         self._still = [*_eyes(head), *_mouth(head)]
 
-    def skin_points(self, parameters: Floats) -> Floats:
+    def skin_points(self, parameters: Array) -> Array:
         """Return the vertices (n, 3) of both halves of the skin in a state."""
         left, right = (self._skin.points(side) for side in self._head.halves(parameters))
         return self.skin_mirror.points(left, right)
 
-    def displacement(self, parameters: Floats) -> Floats:
+    def displacement(self, parameters: Array) -> Array:
         """Return how far every vertex of the skin has moved from rest, (n,) in mm."""
         moved = self.skin_points(parameters) - self.skin_points(self._rest)
         return np.asarray(np.linalg.norm(moved, axis=1))
 
     def shapes(
-        self, parameters: Floats, colours: Floats | None = None, jaw: float = 0.0
+        self, parameters: Array, colours: Array | None = None, jaw: float = 0.0
     ) -> list[Shape]:
         """Return the surfaces of both halves in a state.
 
@@ -123,7 +121,7 @@ class FaceScene:
             vertices = np.where(low[:, None], vertices, shape.vertices)
         return replace(shape, vertices=vertices)
 
-    def _paint(self, head: Head, skin: list[str]) -> Floats:
+    def _paint(self, head: Head, skin: list[str]) -> Array:
         """Return the natural colour of the skin: lips redder, eyebrows dark."""
         counts = [len(head.sides[name][0]) for name in skin]
         hosts = np.concatenate([head.sides[name][0] for name in skin])
@@ -159,7 +157,7 @@ class FaceScene:
 
 
 def eye(
-    centre: Floats, radius: float, name: str, gaze: tuple[float, float, float] = (0, -1, 0)
+    centre: Array, radius: float, name: str, gaze: tuple[float, float, float] = (0, -1, 0)
 ) -> Shape:
     """Return an eyeball with iris and pupil.
 
@@ -233,7 +231,7 @@ def _eyes(head: Head) -> list[Shape]:
     ]
 
 
-def _socket(centre: Floats, radius: float, midplane: float) -> Shape:
+def _socket(centre: Array, radius: float, midplane: float) -> Shape:
     """Return what shows beside the left eyeball in the corners of the lids: a collar around it.
 
     It runs back, less so towards the nose, where the corner lies in front of it.
@@ -291,7 +289,7 @@ def _mouth(head: Head) -> list[Shape]:
     return shapes
 
 
-def _smooth(low: float, high: float, values: Floats) -> Floats:
+def _smooth(low: float, high: float, values: Array) -> Array:
     """Return 0 below `low`, 1 above `high`, and a smooth step in between."""
     share = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))

@@ -3,15 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modiolus.errors import InputError
+from modiolus.hermite.basis import Array, IntArray
 from modiolus.hermite.check import numbers, whole
 
 __all__ = ["Shape", "linear_light", "vertex_normals"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +36,9 @@ class Shape:
         An array has another shape, a vertex is not finite, or a triangle has one that there is not.
     """
 
-    vertices: Floats
-    faces: Ints
-    colour: tuple[float, float, float] | Floats
+    vertices: Array
+    faces: IntArray
+    colour: tuple[float, float, float] | Array
     name: str = ""
     gloss: float = 0.12
     glow: float = 0.0
@@ -55,12 +52,12 @@ class Shape:
                 "do not fit; give three corners a face and one colour, or one a vertex"
             )
 
-    def colours(self) -> Floats:
+    def colours(self) -> Array:
         """Return the colour of every vertex, (n, 3)."""
         return np.broadcast_to(np.asarray(self.colour, dtype=float), self.vertices.shape)
 
 
-def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
+def vertex_normals(vertices: Array, faces: IntArray) -> Array:
     """Return smooth unit normals: the area-weighted mean of the triangles around each vertex.
 
     Parameters
@@ -87,7 +84,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     return np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
 
 
-def linear_light(colour: Floats) -> Floats:
+def linear_light(colour: Array) -> Array:
     """Return the linear light of sRGB colours, 0 to 1 (IEC 61966-2-1)."""
     low = colour <= 0.04045
     return np.asarray(np.where(low, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4))

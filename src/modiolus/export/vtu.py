@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modiolus.errors import InputError
+from modiolus.hermite.basis import Array, IntArray
 from modiolus.hermite.check import numbers, whole
 
 __all__ = ["write_vtu"]
@@ -17,9 +17,9 @@ __all__ = ["write_vtu"]
 
 def write_vtu(
     path: Path,
-    points: NDArray[np.float64],
-    hexahedra: NDArray[np.int64],
-    arrays: Mapping[str, NDArray[np.float64]],
+    points: Array,
+    hexahedra: IntArray,
+    arrays: Mapping[str, Array],
 ) -> None:
     """Write hexahedra with values at their corners.
 

@@ -19,6 +19,7 @@ from ..errors import InputError
 from .check import numbers
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 #: Power-basis coefficients ``[side, derivative, power]`` of the four functions.
 COEFFICIENTS: Array = np.array(

@@ -18,13 +18,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .basis import Array, basis
+from .basis import Array, IntArray, basis
 from .check import numbers, whole
 from .mesh import HermiteMesh
 
 __all__ = ["LABELS", "ExField", "ExMesh", "write_ex"]
-
-IntArray = NDArray[np.int64]
 
 #: Names of a node's value and derivatives, in the order of the basis.
 LABELS = (

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .basis import Array
+from .basis import Array, IntArray
 from .check import numbers, whole
 from .mesh import HermiteMesh
 
@@ -26,7 +26,7 @@ def differences(values: Array, axis: int, periodic: bool = False) -> Array:
     return np.moveaxis(out, 0, axis)
 
 
-def grid_connectivity(counts: Sequence[int], periodic: Sequence[bool]) -> NDArray[np.int64]:
+def grid_connectivity(counts: Sequence[int], periodic: Sequence[bool]) -> IntArray:
     """Return the node of every corner, (n_elements, 2**dim); first direction fastest.
 
     ``counts`` are elements per direction; a periodic direction has as many nodes as
@@ -175,7 +175,7 @@ def linear(vertices: ArrayLike, cells: ArrayLike) -> HermiteMesh:
     return HermiteMesh(dim, vertices.copy(), extraction)
 
 
-def _corners(name: str, values: ArrayLike, n_nodes: int) -> tuple[NDArray[np.int64], int]:
+def _corners(name: str, values: ArrayLike, n_nodes: int) -> tuple[IntArray, int]:
     """Check the corners of elements, and tell their dimension from their number."""
     corners = whole(name, values, n_nodes, ndim=2)
     dim = {2: 1, 4: 2, 8: 3}.get(corners.shape[1])

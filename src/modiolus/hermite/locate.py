@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from .basis import COEFFICIENTS, Array
+from .basis import COEFFICIENTS, Array, IntArray
 from .check import numbers
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Location:
         element and not onto its border.
     """
 
-    elements: NDArray[np.int64]
+    elements: IntArray
     xi: Array
     distance: Array
     inside: NDArray[np.bool_]
@@ -200,8 +200,8 @@ def locate(mesh: HermiteMesh, points: ArrayLike, candidates: int = 6) -> Locatio
 
 
 def closest_in(
-    mesh: HermiteMesh, points: Array, elements: NDArray[np.int64], starts: Array
-) -> tuple[NDArray[np.int64], Array, Array]:
+    mesh: HermiteMesh, points: Array, elements: IntArray, starts: Array
+) -> tuple[IntArray, Array, Array]:
     """Find the closest point of given elements for each of some points.
 
     Parameters

@@ -8,16 +8,14 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .basis import Array, basis
+from .basis import Array, IntArray, basis
 from .check import numbers, whole
 from .locate import Location, locate
 from .quadrature import Quadrature, gauss
 from .rows import same_rows
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

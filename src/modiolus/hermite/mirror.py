@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .basis import Array
+from .basis import Array, IntArray
 from .mesh import HermiteMesh
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

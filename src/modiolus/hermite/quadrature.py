@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from .basis import Array
+from .basis import Array, IntArray
 
 
 def gauss(dim: int, n: int) -> tuple[Array, Array]:
@@ -50,7 +49,7 @@ class Quadrature:
         Physical weights in mm^dim; negative where a volume is inside out.
     """
 
-    elements: NDArray[np.int64]
+    elements: IntArray
     xi: Array
     weights: Array
 

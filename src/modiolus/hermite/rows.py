@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from .basis import Array
-
-IntArray = NDArray[np.int64]
+from .basis import Array, IntArray
 
 #: Entries up to this are none.
 _NOTHING = 1e-12

@@ -9,11 +9,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .basis import Array
+from .basis import Array, IntArray
 from .mesh import HermiteMesh
 from .rows import same_rows
-
-IntArray = NDArray[np.int64]
 
 # VTK walks round the bottom of a hexahedron and then round its top.
 _VTK_HEXAHEDRON = (0, 1, 3, 2, 4, 5, 7, 6)

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modiolus.export.scene import FaceScene
 from modiolus.export.shape import Shape
+from modiolus.hermite.basis import Array
 from modiolus.scans.compare import Comparison, Measure
 from modiolus.scans.skin import REGIONS
 from modiolus.view.face import face_panels
@@ -19,7 +19,6 @@ from modiolus.view.figure import Panel, Scale, figure, histogram
 
 __all__ = ["MEASURE_HEADINGS", "cell", "draw_comparison", "measure_rows", "write_page"]
 
-Floats = NDArray[np.float64]
 
 #: The colours of the maps end here (mm), so that pictures of several faces compare.
 _HIGHEST = 4.0
@@ -28,8 +27,8 @@ _BESIDE = (0.80, 0.80, 0.79)
 
 def draw_comparison(
     scene: FaceScene,
-    rest: Floats,
-    moved: Floats,
+    rest: Array,
+    moved: Array,
     comparison: Comparison,
     heading: str,
     path: Path,
@@ -55,7 +54,7 @@ def draw_comparison(
     scale = Scale("distance of the scan to the model (mm)", 0.0, _HIGHEST)
     surface = comparison.scan.surface
 
-    def painted(values: Floats) -> Shape:
+    def painted(values: Array) -> Shape:
         colours = scale.colours(values)
         colours[~measure.covered] = _BESIDE
         return Shape(surface.vertices, surface.faces, colours, "scan", gloss=0.05)

@@ -7,23 +7,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modiolus.errors import InputError
 from modiolus.export.scene import FaceScene
 from modiolus.export.shape import Shape
+from modiolus.hermite.basis import Array
 from modiolus.view.figure import Panel, Scale, figure
 from modiolus.view.raster import Camera
 
 __all__ = ["VIEWS", "draw_catalogue", "draw_face", "face_camera", "face_panels"]
 
-Floats = NDArray[np.float64]
 
 #: Azimuth and elevation of the usual views, in degrees.
 VIEWS = {"front": (0.0, 2.0), "three-quarter": (38.0, 4.0)}
 
 
-def face_camera(scene: FaceScene, rest: Floats, view: str, zoom: float = 1.0) -> Camera:
+def face_camera(scene: FaceScene, rest: Array, view: str, zoom: float = 1.0) -> Camera:
     """Return a camera that takes in the whole face.
 
     Parameters
@@ -46,7 +45,7 @@ def face_camera(scene: FaceScene, rest: Floats, view: str, zoom: float = 1.0) ->
 
 def face_panels(
     scene: FaceScene,
-    rest: Floats,
+    rest: Array,
     looks: Sequence[tuple[str, list[Shape], Scale | None]],
     zoom: float = 1.0,
 ) -> list[list[Panel]]:
@@ -76,8 +75,8 @@ def face_panels(
 
 def draw_face(
     scene: FaceScene,
-    rest: Floats,
-    moved: Floats,
+    rest: Array,
+    moved: Array,
     heading: str,
     path: Path,
     jaw: float = 0.0,
@@ -112,8 +111,8 @@ def draw_face(
 
 def draw_catalogue(
     scene: FaceScene,
-    rest: Floats,
-    states: Sequence[tuple[str, str, Floats]],
+    rest: Array,
+    states: Sequence[tuple[str, str, Array]],
     heading: str,
     path: Path,
 ) -> None:

@@ -5,16 +5,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from modiolus.errors import InputError
 from modiolus.export.shape import Shape
+from modiolus.hermite.basis import Array
 from modiolus.view.raster import BACKGROUND, Camera, Curves, draw
 
 __all__ = ["Panel", "Scale", "figure", "histogram"]
 
-Floats = NDArray[np.float64]
 
 _INK = (38, 38, 42)
 _PAPER = tuple(round(255 * value) for value in BACKGROUND)
@@ -58,7 +57,7 @@ class Scale:
         if not -np.inf < self.low < self.high < np.inf:
             raise InputError(f"scale: {self.low:g} to {self.high:g} does not ascend; mend its ends")
 
-    def colours(self, values: Floats) -> Floats:
+    def colours(self, values: Array) -> Array:
         """Return the sRGB colours (n, 3) of values (n,)."""
         share = (np.asarray(values, dtype=float) - self.low) / (self.high - self.low)
         share = np.clip(share, 0.0, 1.0)
@@ -180,7 +179,7 @@ def _draw_scale(
 
 
 def histogram(
-    values: Floats, weights: Floats, scale: Scale, marks: Sequence[tuple[str, float]] = ()
+    values: Array, weights: Array, scale: Scale, marks: Sequence[tuple[str, float]] = ()
 ) -> Callable[[int, int, int], Image.Image]:
     """Return a chart of how values are distributed, for `Panel.chart`.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
@@ -17,7 +16,6 @@ from modiolus.view.raster import Camera, Curves
 
 __all__ = ["draw_muscles"]
 
-Floats = NDArray[np.float64]
 
 _BONE = (0.90, 0.87, 0.80)
 _MUSCLE = (0.72, 0.27, 0.24)

@@ -14,12 +14,11 @@ from scipy import ndimage
 
 from modiolus.errors import InputError
 from modiolus.export.shape import Shape, linear_light, vertex_normals
+from modiolus.hermite.basis import Array, IntArray
 from modiolus.hermite.check import numbers, whole
 
 __all__ = ["BACKGROUND", "Camera", "Curves", "draw"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 BACKGROUND = (0.955, 0.955, 0.95)
 """Colour behind everything (sRGB, 0 to 1)."""
@@ -66,7 +65,7 @@ class Camera:
                 "above 0"
             )
 
-    def axes(self) -> Floats:
+    def axes(self) -> Array:
         """Return the unit vectors to the right, upwards and towards the viewer, as rows (3, 3)."""
         azimuth, elevation = np.radians([self.azimuth, self.elevation])
         towards = np.array(
@@ -79,7 +78,7 @@ class Camera:
         right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
         return np.array([right, np.cross(towards, right), towards])
 
-    def project(self, points: Floats, width: int, height: int) -> Floats:
+    def project(self, points: Array, width: int, height: int) -> Array:
         """Project points to pixels.
 
         Parameters
@@ -125,9 +124,9 @@ class Curves:
         The lengths do not add up to the points, or a point is not finite.
     """
 
-    points: Floats
-    lengths: Ints
-    colour: tuple[float, float, float] | Floats
+    points: Array
+    lengths: IntArray
+    colour: tuple[float, float, float] | Array
     width: float = 1.0
     lift: float = 0.3
 
@@ -202,7 +201,7 @@ def _ribbons(curves: Curves, camera: Camera, pixel: float) -> Shape:
     return Shape(vertices, faces, np.concatenate([colour, colour]))
 
 
-def _srgb(light: Floats) -> Floats:
+def _srgb(light: Array) -> Array:
     """Return sRGB colours of linear light."""
     light = np.clip(light, 0.0, 1.0)
     return np.asarray(
@@ -305,7 +304,7 @@ def draw(
     camera: Camera,
     width: int,
     height: int,
-) -> Floats:
+) -> Array:
     """Draw surfaces and lines.
 
     Parameters
@@ -364,12 +363,12 @@ def draw(
 class _Scene:
     """All shapes as one: arrays over vertices (n, ...) and triangles (m, 3)."""
 
-    vertices: Floats
-    faces: Ints
-    normals: Floats
-    colours: Floats
-    gloss: Floats
-    glow: Floats
+    vertices: Array
+    faces: IntArray
+    normals: Array
+    colours: Array
+    gloss: Array
+    glow: Array
     lit: NDArray[np.bool_]
 
     @classmethod
@@ -390,7 +389,7 @@ class _Scene:
         )
 
 
-def _occlusion(depth: Floats, pixels_per_mm: float) -> Floats:
+def _occlusion(depth: Array, pixels_per_mm: float) -> Array:
     """Return how much of the light reaches each pixel of the picture, from the depth buffer.
 
     A pixel that lies deeper than the blurred depth around it sits in a crease and is darkened

@@ -5,16 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image as Picture
 from PIL import ImageDraw
 
 from modiolus.anatomy.image import Image
 from modiolus.anatomy.surface import Surface
+from modiolus.hermite.basis import Array, IntArray
 
 __all__ = ["draw_slices"]
 
-Array = NDArray[np.float64]
 
 _CONTOUR = (235, 96, 52)
 _INK = (235, 235, 235)
@@ -85,7 +84,7 @@ def draw_slices(
     page.save(path)
 
 
-def _section(vertices: Array, faces: NDArray[np.int64], axis: int, at: float) -> Array:
+def _section(vertices: Array, faces: IntArray, axis: int, at: float) -> Array:
     """Return the segments (n, 2, 3) in which triangles meet a plane across an axis."""
     # A vertex in the plane would end segments in it: none is quite there.
     height = vertices[:, axis] - at - 1e-6
