@@ -9,11 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..hermite import HermiteMesh, bricks
+from ..hermite.basis import Array, IntArray
 from ..mechanics import Load, Problem, Settings, SurfaceContact, solve
 from ..mechanics.contact import Side
 from ..mechanics.facing import Patches, segments
-from ..mechanics.laws import Array
-from ..mechanics.terms import IntArray
 from .case import Check
 from .meshes import side
 

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..hermite import HermiteMesh
+from ..hermite.basis import Array
 from ..mechanics import (
     MUSCLE,
     BlemkerMuscle,
@@ -32,7 +33,6 @@ from ..mechanics import (
     clamp,
     face_points,
 )
-from ..mechanics.laws import Array
 from .case import Check
 from .contact import blocks
 from .meshes import box

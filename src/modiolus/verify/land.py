@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..hermite import HermiteMesh, bricks
+from ..hermite.basis import Array, IntArray
 from ..mechanics import (
     FollowerPressure,
     Formulation,
@@ -26,8 +27,6 @@ from ..mechanics import (
     clamp,
     solve,
 )
-from ..mechanics.laws import Array
-from ..mechanics.terms import IntArray
 from .case import Check
 from .meshes import side
 

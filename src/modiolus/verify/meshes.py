@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..hermite import HermiteMesh, bricks
-from ..mechanics.terms import IntArray
+from ..hermite.basis import IntArray
 
 
 def box(size: Sequence[float], counts: Sequence[int]) -> HermiteMesh:

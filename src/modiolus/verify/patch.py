@@ -14,9 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..hermite import HermiteMesh, gauss
+from ..hermite.basis import Array, IntArray
 from ..mechanics import DeadForces, Load, Problem, Settings, clamp, solve
-from ..mechanics.laws import Array
-from ..mechanics.terms import IntArray
 from .case import Check
 from .land import Ventricle
 from .meshes import box, scaled, side

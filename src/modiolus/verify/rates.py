@@ -10,6 +10,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from ..hermite import HermiteMesh
+from ..hermite.basis import Array
 from ..mechanics import (
     Continuation,
     DeadForces,
@@ -21,7 +22,6 @@ from ..mechanics import (
     clamp,
     face_points,
 )
-from ..mechanics.laws import Array
 from ..mechanics.problem import trilinear
 from .case import Check
 from .meshes import box, side
