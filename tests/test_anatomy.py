@@ -101,6 +101,28 @@ def test_reader_merges_the_vertices_of_stl(tmp_path):
     assert read_surface(tmp_path / "box.stl").vertices.shape == (8, 3)
 
 
+def test_a_ply_with_other_line_ends_is_read(tmp_path):
+    lines = [
+        "ply",
+        "format ascii 1.0",
+        "element vertex 3",
+        "property float x",
+        "property float y",
+        "property float z",
+        "element face 1",
+        "property list uchar int vertex_indices",
+        "end_header",
+        "0 0 0",
+        "1 0 0",
+        "0 1 0",
+        "3 0 1 2",
+        "",
+    ]
+    path = tmp_path / "face.ply"
+    path.write_bytes("\r\n".join(lines).encode())
+    assert read_surface(path).faces.tolist() == [[0, 1, 2]]
+
+
 @pytest.mark.parametrize("kept", [0, 10, 200, -9])
 def test_truncated_file_is_refused(tmp_path, kept):
     path = tmp_path / "box.ply"

@@ -304,3 +304,21 @@ def test_heads_say_where_they_come_from(run, tmp_path):
     (local / "head.toml").write_text("format = ")
     assert_refused(run("heads", tmp_path / "heads"), "head.toml", "TOML")
     assert_refused(run("heads", tmp_path / "none"), "none", "no such folder")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("morph", "taro", "--to", "face.ply", "--out", "a b"),
+        ("upright", "taro", "--out", "a b"),
+        ("build", "anatomy", "--out", "a b"),
+    ],
+)
+def test_a_name_that_makes_no_folder_is_refused_before_work_begins(run, tmp_path, arguments):
+    (tmp_path / "face.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    )
+    assert_refused(run(*arguments), "--out", "'a b'")
+    assert not (tmp_path / "a b").exists()

@@ -368,6 +368,15 @@ def test_a_state_is_kept_exactly_and_knows_its_head(head, tmp_path):
     with pytest.raises(InputError) as error:
         load_result(tmp_path)
     assert_one_line(error, "changed")
+    for fault, activations, jaw in [
+        ("mentalis", {"mentalis": 7.0}, 0.0),
+        ("mentalus", {"mentalus": 0.5}, 0.0),
+        ("jaw", {}, 99.0),
+    ]:
+        save_state(tmp_path / STATE_FILE, "x", head, "taro", moved, np.zeros(8), activations, jaw)
+        with pytest.raises(InputError) as error:
+            load_result(tmp_path)
+        assert_one_line(error, fault)
     (tmp_path / STATE_FILE).write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(InputError) as error:
         load_result(tmp_path)

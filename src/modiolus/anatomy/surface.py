@@ -12,6 +12,7 @@ References
 from __future__ import annotations
 
 import logging
+import re
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from modiolus.errors import InputError
+from modiolus.hermite.check import numbers
 
 __all__ = ["MIDPLANE", "Closest", "Surface", "is_whole_ply", "read_surface"]
 
@@ -286,10 +288,7 @@ class Surface:
 
 
 def _queries(points: np.ndarray) -> np.ndarray:
-    queries = np.ascontiguousarray(points, dtype=np.float64)
-    if queries.ndim != 2 or queries.shape[1] != 3:
-        raise ValueError(f"points of shape {queries.shape}, not (n, 3)")
-    return queries
+    return np.ascontiguousarray(numbers("points", points, None, 3))
 
 
 def read_surface(path: str | Path, name: str | None = None) -> Surface:
@@ -346,9 +345,10 @@ def is_whole_ply(path: Path) -> bool:
     Libraries are known to bring the process down on a truncated one, VTK and libigl among them.
     """
     content = path.read_bytes()
-    head, end, body = content.partition(b"end_header\n")
-    if not end or not head.startswith(b"ply"):
+    end = re.search(rb"\bend_header\r?\n", content)
+    if end is None or not content.startswith(b"ply"):
         return False
+    head, body = content[: end.start()], content[end.end() :]
     sizes = {"char": 1, "short": 2, "int": 4, "float": 4, "double": 8}
     sizes |= {f"u{name}": sizes[name] for name in ("char", "short", "int")}
     sizes |= {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4}

@@ -11,6 +11,7 @@ import typer
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError
+from modiolus.files import folder_name
 from modiolus.progress import Progress
 
 _head = typer.Typer(help="Look at a head.", rich_markup_mode=None, no_args_is_help=True)
@@ -111,9 +112,10 @@ def build(
     """
     from modiolus.face.build import build_head
 
+    name = folder_name("--out", out.resolve().name)
     with whole_folder(out, marker="head.toml") as folder:
-        with Progress(f"building {out.name}", quiet=quiet) as progress:
-            built, table = build_head(anatomy, progress.update, name=out.absolute().name)
+        with Progress(f"building {name}", quiet=quiet) as progress:
+            built, table = build_head(anatomy, progress.update, name=name)
         built.save(folder)
     record = {
         "head": built.name,

@@ -16,6 +16,7 @@ import typer
 from modiolus.cli.app import Json, Quiet, app, show
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError, SolveError, unknown_name
+from modiolus.files import folder_name
 from modiolus.progress import Progress
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def morph(
     pairs = None if landmarks is None else read_landmarks(landmarks, source)
     if notice is not None and not notice.is_file():
         raise InputError(f"--notice {notice}: no such file; check the path")
-    name = out.absolute().name
+    name = folder_name("--out", out.resolve().name)
     with whole_folder(out, marker="head.toml") as folder:
         with Progress(f"morphing {source.name}", quiet=quiet) as progress:
             morphed, quality = morph_head(source, surface, pairs, progress.update, name)

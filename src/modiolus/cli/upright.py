@@ -14,6 +14,7 @@ import typer
 from modiolus.cli.app import Json, Quiet, app, show
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError
+from modiolus.files import folder_name
 from modiolus.progress import Progress
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def upright(
     from modiolus.view.face import draw_face
 
     source = Head.load(head)
-    name = out.absolute().name
+    name = folder_name("--out", out.resolve().name)
     with whole_folder(out, marker="head.toml") as folder:
         with Progress(f"turning {source.name} upright", quiet=quiet) as progress:
             found = turned(source, density, tolerance, report=progress.update)

@@ -15,6 +15,7 @@ from modiolus.cli.compare import Landmarks, Unit, text_table
 from modiolus.cli.identify import expression_toml, identified
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError, SolveError, unknown_name
+from modiolus.files import folder_name
 from modiolus.progress import Progress
 
 #: Root mean square errors that Wu et al. (2013) report, with activations set by hand (mm).
@@ -89,7 +90,8 @@ def validate(
     scans = {name: read_scan(files[name]) for name in order if not wanted or name in wanted}
     if not scans:
         raise InputError(f"{folder}: only the neutral surface; add one for every expression")
-    target = out / f"validate-{folder.resolve().name}"
+    subject = folder_name("FOLDER", folder.resolve().name)
+    target = out / f"validate-{subject}"
     chosen = Head.load(head or "taro")
     with whole_folder(target, marker="report.json") as draft:
         from modiolus.face.morph import morph_head
@@ -101,7 +103,7 @@ def validate(
         if not head:
             with Progress("morphing the head", quiet=quiet) as progress:
                 chosen, quality = morph_head(
-                    chosen, neutral.surface, pairs, progress.update, folder.resolve().name
+                    chosen, neutral.surface, pairs, progress.update, subject
                 )
             (draft / "head").mkdir()
             chosen.save(draft / "head")

@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from ..errors import InputError, unknown_name
-from ..files import read_toml
+from ..files import folder_name, read_toml
 from .jaw import opening
 
 __all__ = ["GROUPS", "Expression", "expression_names", "resolve"]
@@ -63,7 +63,7 @@ class Expression:
             If the file cannot be read or says something that is not understood.
         """
         path = Path(path)
-        return cls._checked(path.stem, read_toml(path), str(path))
+        return cls._checked(folder_name(str(path), path.stem), read_toml(path), str(path))
 
     @classmethod
     def shipped(cls, name: str) -> Expression:
@@ -154,7 +154,7 @@ def resolve(
         group: tuple(part for part in members if part in muscles)
         for group, members in GROUPS.items()
     }
-    known = {**{group: members for group, members in parts.items() if members}}
+    known = {group: members for group, members in parts.items() if members}
     known.update({muscle: (muscle,) for muscle in muscles})
     wanted: list[tuple[int, str, str, float]] = []
     for name, value in activations.items():

@@ -7,7 +7,6 @@ archives of plain arrays: ``tissue.npz``, ``muscles.npz`` and ``deep.npz``.
 from __future__ import annotations
 
 import json
-import re
 import zipfile
 from collections.abc import Mapping
 from contextlib import nullcontext
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..anatomy.surface import MIDPLANE
 from ..errors import InputError, unknown_name
-from ..files import read_toml
+from ..files import folder_name, read_toml
 from ..hermite import HermiteMesh, MirroredMesh
 from ..hermite.basis import Array
 from .jaw import Jaw
@@ -220,11 +219,12 @@ class Head:
         ------
         OSError
             The folder cannot be written.
-        ValueError
-            The head is not a half: both sides follow from one.
+        InputError
+            The head is not a half, or its name cannot be that of a folder.
         """
+        folder_name("head", self.name)
         if self.half is not None:
-            raise ValueError(f"{self.name}: save the half, from which both sides follow")
+            raise InputError(f"{self.name}: it has both sides; save the half, which makes them")
         folder = Path(folder)
         extraction = self.tissue.extraction
         tissue: dict[str, NDArray[Any]] = {
@@ -449,11 +449,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     for key in ("name", "landmarks", "midplane"):
         if key not in table:
             raise InputError(f"{path}: it says nothing of {key!r}; build or copy the head anew")
-    # The name becomes that of a folder.
-    if not isinstance(table["name"], str) or not re.fullmatch(r"\w[\w.-]*", table["name"]):
-        raise InputError(
-            f"{path}: name {table['name']!r}; give it letters, digits, hyphens, dots or underscores"
-        )
+    folder_name(str(path), table["name"])
     return table
 
 

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..hermite import HermiteMesh, gauss
+from ..hermite.check import numbers, whole
 from . import kernels
 from .assembly import Pattern
 from .laws import Array, FibreLaw
@@ -260,6 +261,11 @@ class Fibres(PointTerm):
     law : FibreLaw
     slacks : mapping of str to float
         Stretch from which a muscle's passive fibres are taut; 1 for those not named.
+
+    Raises
+    ------
+    InputError
+        If a point names no muscle, or has no direction.
     """
 
     def __init__(
@@ -270,6 +276,11 @@ class Fibres(PointTerm):
         law: FibreLaw | None = None,
         slacks: Mapping[str, float] | None = None,
     ) -> None:
+        # The kernels trust these: an index beyond the names would be read from beyond its array.
+        whole("fibre muscles", quadrature.muscles, len(tuple(names)))
+        directions = numbers("fibre directions", quadrature.directions, None, 3)
+        if not (np.linalg.norm(directions, axis=1) > 0.0).all():
+            raise InputError("fibre directions: one has no length; leave its point out")
         quadrature = quadrature.take(by_host(quadrature.elements))
         functions = fibre_functions(mesh, quadrature.elements, quadrature.xi, quadrature.directions)
         super().__init__("fibres", functions, quadrature.elements)

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..face.expression import resolve
 from ..face.head import Head, read_arrays
+from ..face.jaw import opening
 
 __all__ = ["STATE_FILE", "Result", "load_result", "save_state"]
 
@@ -117,7 +119,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         names, values = arrays["muscles"].tolist(), arrays["activations"].astype(float).tolist()
         same = str(arrays["digest"]) == _digest(chosen)
         expression, jaw = str(arrays["expression"]), float(arrays["jaw"])
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: its arrays make no state ({error}); simulate anew") from error
@@ -129,4 +131,9 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
     if len(names) != len(values):
         raise InputError(f"{path}: muscles and activations do not pair; simulate anew")
     activations = dict(zip(names, values, strict=True))
+    try:
+        resolve(activations, chosen.muscles)
+        opening(np.degrees(jaw), "jaw")
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     return Result(expression, chosen, parameters, pressure, activations, jaw)
