@@ -24,7 +24,7 @@ from modiolus.mechanics.beam import bend_beam
 from modiolus.mechanics.kernels import fibre
 from modiolus.mechanics.linear import Pardiso, SuperLU
 
-FINE = Settings(tolerance=1e-9)
+FINE = Settings(tolerance=1e-10)
 
 
 def box(counts, size):

@@ -108,6 +108,13 @@ class Progress:
             parts.append(_duration(elapsed))
         self._write(" · ".join(parts))
 
+    def pause(self) -> None:
+        """End the line that is redrawn, before something else is written to the terminal."""
+        if self._width:
+            self._stream.write("\n")
+            self._stream.flush()
+            self._width = 0
+
     def _write(self, line: str) -> None:
         if self._terminal:
             self._stream.write("\r" + line.ljust(self._width))
@@ -126,9 +133,7 @@ class Progress:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if self._width:
-            self._stream.write("\n")
-            self._stream.flush()
+        self.pause()
 
 
 def _duration(seconds: float) -> str:

@@ -8,13 +8,17 @@ import platform
 import subprocess
 import sys
 import time
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modiolus.cli.app import HeadName, Json, Quiet, app, show
 from modiolus.errors import InputError
 from modiolus.progress import Progress
+
+if TYPE_CHECKING:
+    from modiolus.mechanics import Problem, State
+    from modiolus.mechanics.timing import Machine
 
 #: Change of every activation that a warm start has to follow.
 WARM = 0.9
@@ -30,12 +34,23 @@ def bench(
         ),
     ] = None,
     head: HeadName = "taro",
+    finest: Annotated[
+        int,
+        typer.Option(
+            "--refine",
+            metavar="N",
+            min=0,
+            max=2,
+            help="Exact refinements on which an iteration is measured as well; 2 takes 8 GB.",
+        ),
+    ] = 1,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure imports, set-up, the parts of an iteration and whole expressions.
 
-    An expression is solved cold, from rest, and warm, from there to 0.9 times its activations.
+    An expression is solved cold, from rest, and warm, from there to 0.9 times its activations. The
+    parts of an iteration stand beside the least time in which the machine could do them.
     """
     from modiolus.face.expression import Expression, expression_names, resolve
 
@@ -44,17 +59,23 @@ def bench(
     if names and sided:
         raise InputError(f"{sided[0]}: differs left and right; name an expression that does not")
     chosen = [expression for expression in every if expression.name not in sided]
-    record: dict[str, Any] = {"machine": _machine(), "seconds": {}, "expressions": {}}
+    record: dict[str, Any] = {"machine": _machine(), "seconds": {}, "expressions": {}, "meshes": []}
     seconds = record["seconds"]
-    with Progress("measuring", total=len(chosen) + 2, quiet=quiet) as progress:
+    with Progress("measuring", total=len(chosen) + 2 + finest, quiet=quiet) as progress:
         progress.update(0, "imports")
         seconds["import modiolus"] = _fresh("import modiolus")
         seconds["import of the mechanics"] = _fresh("import modiolus.mechanics.face")
         from modiolus.face.head import Head
+        from modiolus.face.refine import refined
         from modiolus.mechanics import Continuation
+        from modiolus.mechanics.convergence import inherited
         from modiolus.mechanics.face import face_load, face_problem
-        from modiolus.mechanics.timing import least, parts
+        from modiolus.mechanics.timing import Machine, least
 
+        able = Machine.measured()
+        record["machine"].update(
+            gflops_single=able.single, gflops_double=able.double, gb_s=able.memory
+        )
         progress.update(1, "set-up")
         model = Head.load(head)
         seconds["reading the head"] = least(lambda: Head.load(head), 2)
@@ -84,13 +105,32 @@ def bench(
                 "max_penetration_mm": cold.statistics.max_penetration_mm,
             }
             if not done:
-                record["parts"] = parts(problem, cold.parameters, cold.pressure, cold.load)
-        progress.update(2 + len(chosen), "done")
+                record["meshes"].append(_mesh(problem, cold, able))
+                base = cold
+        for times in range(1, finest + 1):
+            progress.update(1 + len(chosen) + times, f"{times} refinement{'s' * (times > 1)}")
+            counts = (2**times, 2**times, 1)
+            finer = face_problem(refined(model, counts))
+            record["meshes"].append(_mesh(finer, inherited(finer, base, counts), able))
+            del finer
+        progress.update(2 + len(chosen) + finest, "done")
     # Not everywhere, and this file is read by every command.
     import resource
 
     record["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     show(record, _text(record), as_json, quiet)
+
+
+def _mesh(problem: Problem, state: State, able: Machine) -> dict[str, Any]:
+    """Measure the parts of an iteration on a mesh, and their floor."""
+    from modiolus.mechanics.timing import floor, parts
+
+    found = parts(problem, state.parameters, state.pressure, state.load)
+    return {
+        "elements": problem.mesh.n_elements,
+        "parts": found,
+        "floor": floor(problem, found, able),
+    }
 
 
 def _fresh(statement: str) -> float:
@@ -114,18 +154,30 @@ def _text(record: dict[str, Any]) -> str:
     """Lay the figures out for reading."""
     lines = [f"{name:32s}{value:9.3f} s" for name, value in record["seconds"].items()]
     lines.append("")
-    for name, value in record["parts"].items():
-        unit, number = ("", f"{value:9.0f}") if value > 100 else (" s", f"{value:9.4f}")
-        if name == "factor_gflop":
-            unit = " Gflop"
-        lines.append(f"{name:32s}{number}{unit}")
+    meshes = record["meshes"]
+    lines.append(f"{'':32s}" + "".join(f"{mesh['elements']:9d} elements" for mesh in meshes))
+    for name in meshes[0]["parts"]:
+        line = f"{name:32s}"
+        for mesh in meshes:
+            value, least = mesh["parts"][name], mesh["floor"].get(name)
+            if name.endswith(("unknowns", "entries")):
+                line += f"{value:9.0f}         "
+            elif name == "factor_gflop":
+                line += f"{value:9.2f}         "
+            else:
+                line += f"{value:9.4f} s" + (f" ({least:.3f})" if least else " " * 8)
+        lines.append(line.rstrip())
+    machine = record["machine"]
+    lines.append(
+        f"In brackets the floor, at {machine['gflops_single']:.0f} (single) and "
+        f"{machine['gflops_double']:.0f} Gflop/s (double) and {machine['gb_s']:.0f} GB/s."
+    )
     lines += ["", f"{'expression':20s}{'cold':>8s}{'its':>6s}{'fac':>5s}{'warm':>8s}{'its':>6s}"]
     for name, row in record["expressions"].items():
         lines.append(
             f"{name:20s}{row['cold_s']:7.2f}s{row['iterations']:6d}{row['factorisations']:5d}"
             f"{row['warm_s']:7.2f}s{row['warm_iterations']:6d}"
         )
-    machine = record["machine"]
     lines += [
         "",
         f"{record['memory_mb']:.0f} MB at most; {machine['cores']} cores, load "

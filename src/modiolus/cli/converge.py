@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -41,12 +42,18 @@ def converge(
     from modiolus.mechanics.convergence import Study, discretisation_error, variants
 
     study = Study(chosen, activations, jaw)
-    rows = []
+    rows: list[dict[str, Any]] = []
     every = list(variants(quick))
+    written = not (as_json or quiet)
     with Progress(f"comparing {wanted.name}", total=len(every), quiet=quiet) as progress:
         for done, variant in enumerate(every):
             progress.update(done, variant.name)
             rows.append(study.row(variant))
+            if written:
+                # Rows stay, whatever becomes of those that take minutes.
+                progress.pause()
+                sys.stdout.write((_HEADING if not done else "") + _line(rows[-1]) + "\n")
+                sys.stdout.flush()
         progress.update(len(every), "done")
     record = {
         "expression": wanted.name,
@@ -57,26 +64,30 @@ def converge(
         "discretisation_error_mm": discretisation_error(rows),
         "with_mesh": not quick,
     }
-    show(record, _text(record), as_json, quiet)
+    show(record, _summary(record), as_json, quiet)
 
 
-def _text(record: dict[str, Any]) -> str:
-    """Lay the table out for reading."""
-    head = f"{'':22s}{'elements':>9s}{'unknowns':>9s}{'corner':>9s}{'change':>8s}"
-    lines = [head + f"{'skin rms':>9s}{'most':>8s}{'solve':>9s}"]
-    for row in record["rows"]:
-        line = f"{row['name']:22s}{row['elements']:9d}{row['unknowns']:9d}"
-        if not row["converged"]:
-            lines.append(f"{line}   {row['why']}")
-            continue
-        lines.append(
-            line + f"{row['corner_mm']:9.3f}{row['corner_change_mm']:8.3f}"
-            f"{row['rms_change_mm']:9.3f}{row['max_change_mm']:8.3f}{row['solve_s']:7.1f} s"
-        )
+_HEADING = (
+    f"{'':22s}{'elements':>9s}{'unknowns':>9s}{'corner':>9s}{'change':>8s}"
+    f"{'skin rms':>9s}{'most':>8s}{'solve':>9s}\n"
+)
+
+
+def _line(row: dict[str, Any]) -> str:
+    """Lay out a row of the table for reading."""
+    line = f"{row['name']:22s}{row['elements']:9d}{row['unknowns']:9d}"
+    if not row["converged"]:
+        return f"{line}   {row['why']}"
+    return (
+        line + f"{row['corner_mm']:9.3f}{row['corner_change_mm']:8.3f}"
+        f"{row['rms_change_mm']:9.3f}{row['max_change_mm']:8.3f}{row['solve_s']:7.1f} s"
+    )
+
+
+def _summary(record: dict[str, Any]) -> str:
+    """Say what the table comes to."""
     parts = "mesh, quadrature and steps" if record["with_mesh"] else "quadrature and steps alone"
-    lines += [
-        "",
-        f"Lengths in mm. Discretisation error of {record['expression']} on {record['head']} by "
-        f"{parts}: {record['discretisation_error_mm']:.3f} mm, root mean square over the skin.",
-    ]
-    return "\n".join(lines)
+    return (
+        f"\nLengths in mm. Discretisation error of {record['expression']} on {record['head']} by "
+        f"{parts}: {record['discretisation_error_mm']:.3f} mm, root mean square over the skin."
+    )

@@ -18,6 +18,7 @@ from . import kernels
 from .laws import PAIRS, Array
 
 IntArray = NDArray[np.int64]
+Index = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -164,49 +165,35 @@ class Assembly:
         self._build_map(ends)
 
     def _build_map(self, offsets: IntArray) -> None:
-        rows, columns, sources = [], [], []
-        for group, offset in zip(self.groups, offsets[:-1], strict=True):
-            pattern = group.pattern
-            e, m = pattern.params.shape
-            equations = np.where(pattern.valid[:, :, None], self.equations[pattern.params], -1)
-            pressure = self.pressure_equations[pattern.vertices]
-            place = offset + np.arange(e * 6 * m * m).reshape(e, 6, m, m)
-            for pair, (i, j) in enumerate(PAIRS):
-                row = equations[:, :, None, i]
-                column = equations[:, None, :, j]
-                keep = (row >= 0) & (column >= 0)
-                if i == j:
-                    keep &= row <= column
-                rows.append(np.minimum(row, column)[keep])
-                columns.append(np.maximum(row, column)[keep])
-                sources.append(place[:, pair][keep])
-            v = pattern.vertices.shape[1]
-            place = offset + e * 6 * m * m + np.arange(e * 3 * m * v).reshape(e, 3, m, v)
-            for i in range(3):
-                row = equations[:, :, None, i]
-                column = pressure[:, None, :]
-                keep = (row >= 0) & (column >= 0)
-                row, column = np.broadcast_arrays(row, column)
-                rows.append(row[keep])
-                columns.append(column[keep])
-                sources.append(place[:, i][keep])
-        diagonal = np.arange(self.n)
-        row = np.concatenate([*rows, diagonal]).astype(np.int32)
-        column = np.concatenate([*columns, diagonal]).astype(np.int32)
-        all_sources = np.concatenate(sources)
-        order = _order(column, self.n)
-        order = order[_order(row[order], self.n)]
-        row, column = row[order], column[order]
-        new = np.concatenate([[True], (row[1:] != row[:-1]) | (column[1:] != column[:-1])])
-        self._indices = column[new]
-        counts = np.bincount(row[new], minlength=self.n)
-        self._indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        # The diagonal is in the structure even where nothing is added to it.
-        real = order < len(all_sources)
-        entry = np.cumsum(new) - 1
-        starts = np.concatenate([[0], np.cumsum(np.bincount(entry[real], minlength=new.sum()))])
-        self._starts = starts
-        self._sources = all_sources[order[real]].astype(np.int32)
+        pairs, nothing = np.array(PAIRS), np.empty(0, dtype=np.int32)
+
+        def entries(filled: IntArray, columns: Index, sources: Index) -> None:
+            for group, offset in zip(self.groups, offsets[:-1], strict=True):
+                pattern = group.pattern
+                kernels.list_entries(
+                    np.where(pattern.valid[:, :, None], self.equations[pattern.params], -1),
+                    self.pressure_equations[pattern.vertices],
+                    pairs,
+                    offset,
+                    filled,
+                    columns,
+                    sources,
+                )
+
+        counts = np.zeros(self.n, dtype=np.int64)
+        entries(counts, nothing, nothing)
+        rows = np.concatenate([[0], np.cumsum(counts)])
+        columns, self._sources = np.empty((2, rows[-1]), dtype=np.int32)
+        entries(rows[:-1].copy(), columns, self._sources)
+        self._indptr = np.empty(self.n + 1, dtype=np.int32)
+        self._indices, self._starts = kernels.merge_entries(
+            rows, columns, self._sources, self._indptr
+        )
+
+    @property
+    def traffic(self) -> tuple[int, int]:
+        """Values of element tangents that go into the matrix, and entries that it has."""
+        return len(self._sources), len(self._indices)
 
     def clear(self) -> None:
         """Set all element arrays to zero."""
@@ -280,10 +267,3 @@ class Assembly:
         free = self.equations >= 0
         out[self.equations[free]] += forces.reshape(-1, 3)[free]
         return out
-
-
-def _order(values: NDArray[np.int32], size: int) -> NDArray[np.int32]:
-    """Return the stable order of values (n,) below ``size``, by counting them."""
-    n = len(values)
-    number = np.arange(n + 1, dtype=np.int32)
-    return np.asarray(sp.csr_matrix((number[:n], values, number), shape=(n, size)).tocsc().data)

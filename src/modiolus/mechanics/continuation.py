@@ -3,21 +3,23 @@
 One step predicts the next state with the tangent ``dU/ds`` and corrects it by Newton's
 method. Corrections are judged by the correction that would follow with the same factors
 (the natural monotonicity test of Deuflhard 2004), which does not depend on how forces,
-volumes and derivatives are scaled against each other; once they contract well they go on
-with the factors at hand.
+volumes and derivatives are scaled against each other; as long as they contract well they go on
+with the factors at hand, to which each adds what it has taught (Broyden's method).
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from ..errors import SolveError
-from .laws import Array
-from .linear import LinearSolver, best_solver
+from .laws import Array, Law
+from .linear import LinearSolver, best_solver, symmetric_product
 from .problem import Evaluation, Problem, State
 from .terms import Load
 
@@ -54,7 +56,7 @@ class Settings:
         it leaves out what can make contacts and fibres unstable.
     """
 
-    tolerance: float = 5e-4
+    tolerance: float = 3e-4
     passing: float = 5e-3
     first_step: float = 0.06
     least_step: float = 2e-3
@@ -82,6 +84,15 @@ class LoadNotReached(SolveError):
         super().__init__(text)
         self.reached = reached
         self.state = state
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    """A point on the way to an equilibrium, and the terms evaluated there."""
+
+    parameters: Array
+    pressure: Array
+    evaluation: Evaluation
 
 
 class Continuation:
@@ -120,8 +131,10 @@ class Continuation:
         self.state = problem.rest() if state is None else state
         self.settings = Settings() if settings is None else settings
         self.report = report
-        self.solver = best_solver() if solver is None else solver
-        self._fresh = False
+        # Exponential laws span more than single precision can hold.
+        single = problem.formulation.law == Law.ISOCHORIC
+        self.solver = best_solver(single) if solver is None else solver
+        self._at_hand = False
         self._diagonal: Array | None = None
         self._factorisations = 0
         self._iterations = 0
@@ -156,19 +169,20 @@ class Continuation:
             before = self._factorisations
             steps += 1
             try:
-                state = self._advance(
-                    start.towards(load, target),
-                    settings.tolerance if target == 1.0 else settings.passing,
-                )
+                towards = start.towards(load, target)
+                if target < 1.0:
+                    state = self._advance(towards, settings.passing)
+                else:
+                    state = self._advance(towards, settings.tolerance, self._limit(0))
             except SolveError as error:
                 step = 0.3 * (target - reached)
-                self._fresh = False
+                self._at_hand = False
                 fault = str(error)
                 if step < settings.least_step or steps >= settings.max_steps:
                     text = self._account(load, reached, fault, steps)
                     raise LoadNotReached(text, reached, self.state) from None
                 continue
-            work = self._factorisations - before
+            work = max(self._factorisations - before, 1)
             step = (target - reached) * float(np.clip(8.0 / work, 0.7, 2.5))
             reached = target
             self._keep(state, steps, began)
@@ -182,17 +196,33 @@ class Continuation:
                     reached,
                     f"load {reached:.0%}, J {statistics.J_min:.2f} to {statistics.J_max:.2f}",
                 )
-        for _ in range(settings.augmentations):
+        try:
+            self._press(steps, began)
+        except SolveError as error:
+            text = self._account(load, reached, str(error), steps)
+            raise LoadNotReached(text, reached, self.state) from None
+        return self.state
+
+    def _press(self, steps: int, began: float) -> None:
+        """Press contacts apart as long as they overlap (Uzawa's method)."""
+        settings = self.settings
+        for done in range(settings.augmentations):
             if self.state.statistics.max_penetration_mm <= settings.penetration:
-                break
+                return
             pressed = self.problem.augment(self.state.parameters, self.state.load)
             try:
-                self._keep(self._advance(pressed, settings.tolerance), steps, began)
+                state = self._advance(pressed, settings.tolerance, self._limit(done + 1))
             except SolveError:
                 # The overlap of the penalty remains, and is told.
-                self._fresh = False
-                break
-        return self.state
+                self._at_hand = False
+                self._keep(self._advance(self.state.load, settings.tolerance), steps, began)
+                return
+            self._keep(state, steps, began)
+
+    def _limit(self, done: int) -> float:
+        """Return the overlap beyond which a state at the last load will be pressed again."""
+        settings = self.settings
+        return settings.penetration if done < settings.augmentations else math.inf
 
     def _first_step(self, load: Load) -> float:
         """Return the first step: small at rest, and from a known state by what changes."""
@@ -234,8 +264,10 @@ class Continuation:
         problem, state = self.problem, self.state
         problem.update(state.parameters)
         self._factorise(state.parameters, state.pressure, state.load)
-        self._fresh = True
-        change = -self.solver.solve(problem.activation_slopes(state.parameters, muscles))
+        slopes = problem.activation_slopes(state.parameters, muscles)
+        change = -self.solver.solve(slopes)
+        # Once more for what factors of single precision have left over.
+        change -= self.solver.solve(slopes + symmetric_product(problem.tangent(), change))
         change = change.reshape(-1, len(muscles))
         equations = problem.assembly.equations
         out = np.zeros((*equations.shape, len(muscles)))
@@ -263,130 +295,205 @@ class Continuation:
             self._diagonal = matrix.diagonal()[: self.problem.assembly.n_displacements]
         self.solver.factorise(matrix)
         self._factorisations += 1
+        self._at_hand = damping == 0.0 and self._wrong_pivots() <= 0
 
     def _wrong_pivots(self) -> int:
         found = self.solver.negative_pivots
         return 0 if found is None else found - self.problem.assembly.n_pressures
 
-    def _predict(self, load: Load) -> tuple[Array, Array]:
-        """Move along the tangent of the last state against the whole change of the load."""
+    def _trial(self, here: _Iterate, change: Array, factor: float, load: Load) -> _Iterate | None:
+        """Return where a change leads to, None where it would crush the tissue."""
+        current = replace(self.state, parameters=here.parameters, pressure=here.pressure)
+        parameters, pressure = self.problem.add(current, change, factor)
+        evaluation = self.problem.evaluate(parameters, pressure, load)
+        if not evaluation.volume_ratio.min() > self.settings.least_ratio:
+            return None
+        return _Iterate(parameters, pressure, evaluation)
+
+    def _predict(self, load: Load) -> _Iterate:
+        """Move along the tangent against the whole change of the load.
+
+        The factors at hand will do: they stem from a point within a correction or two of the
+        last state.
+        """
         problem, state = self.problem, self.state
         problem.update(state.parameters)
-        if not self._fresh:
-            self._factorise(state.parameters, state.pressure, state.load)
-            self._fresh = True
         held = problem.prescribe(load) - state.parameters
         held[~problem.fixed] = 0.0
-        right = problem.evaluate(state.parameters, state.pressure, load).residual
+        if not self._at_hand or held.any():
+            self._factorise(state.parameters, state.pressure, state.load)
+        unmoved = problem.evaluate(state.parameters, state.pressure, load)
+        right = unmoved.residual
         if held.any():
             right = right + problem.assembly.multiply(held)
         change = -self.solver.solve(right)
-        moved = replace(state, parameters=state.parameters + held)
+        moved = _Iterate(state.parameters + held, state.pressure, unmoved)
         factor = 1.0
-        while True:
-            parameters, pressure = problem.add(moved, change, factor)
-            evaluation = problem.evaluate(parameters, pressure, load)
-            if evaluation.volume_ratio.min() > self.settings.least_ratio:
-                return parameters, pressure
+        while factor > 0.1:
+            there = self._trial(moved, change, factor, load)
+            if there is not None:
+                return there
             factor *= 0.5
-            if factor < 0.1:
-                # Near a limit point the tangent leads nowhere; the corrections begin at rest.
-                return moved.parameters, moved.pressure
+        # Near a limit point the tangent leads nowhere; the corrections begin at rest.
+        return replace(moved, evaluation=problem.evaluate(moved.parameters, moved.pressure, load))
 
-    def _advance(self, load: Load, tolerance: float) -> State:
-        """Return the equilibrium at ``load``, or reject the step."""
-        problem, settings = self.problem, self.settings
-        parameters, pressure = self._predict(load)
+    def _advance(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:
+        """Return the equilibrium at ``load``, or reject the step.
+
+        Where contacts overlap by more than ``overlap`` (mm), `Settings.passing` will do.
+        """
+        settings = self.settings
+
+        def enough(size: float, there: _Iterate) -> bool:
+            if size >= settings.passing:
+                return size < tolerance
+            return size < tolerance or self.problem.penetration(there.parameters, load) > overlap
+
+        here = self._predict(load)
+        change = -self.solver.solve(here.evaluation.residual)
+        here, size, settled = self._settle(here, change, load, enough)
         damping = 0.0
-        convex = True
+        wary = False
         for _ in range(settings.max_iterations):
-            evaluation = self._factorise(parameters, pressure, load, convex=convex, damping=damping)
-            current = replace(self.state, parameters=parameters, pressure=pressure)
+            if settled:
+                return self._converged(here, load)
+            convex = wary or size > settings.near
+            evaluation = self._factorise(
+                here.parameters, here.pressure, load, convex=convex, damping=damping
+            )
+            wary = False
             while True:
                 # A negative pivot too many means that the tissue would buckle away from
                 # here, an empty line search that the tangent leads astray.
                 if self._wrong_pivots() <= 0:
                     change = -self.solver.solve(evaluation.residual)
-                    size = problem.size(change)
+                    size = self.problem.size(change)
                     self._iterations += 1
-                    found = self._search(
-                        current, change, evaluation.residual, size, load, tolerance
-                    )
+                    found = self._search(here, change, size, load, tolerance)
                     if found is not None:
                         break
                 if not convex:
-                    convex = True
-                    self._factorise(parameters, pressure, load, convex=True, damping=damping)
+                    convex = wary = True
+                    self._factorise(
+                        here.parameters, here.pressure, load, convex=True, damping=damping
+                    )
                     continue
                 damping = max(10.0 * damping, 0.1)
                 if damping > 20.0:
                     raise self._fault("no damping makes the corrections descend", evaluation)
                 self._refactorise(damping)
             damping = 0.0 if damping < 0.5 else 0.1 * damping
-            parameters, pressure, evaluation, following, full = found
-            after = problem.size(following)
-            convex = after > settings.near
-            # Go on with these factors while that contracts well.
-            while full and damping == 0.0 and after < max(0.4 * size, tolerance):
-                current = replace(self.state, parameters=parameters, pressure=pressure)
-                tried = problem.add(current, following)
-                trial = problem.evaluate(*tried, load)
-                if not trial.volume_ratio.min() > settings.least_ratio:
-                    break
-                parameters, pressure = tried
-                evaluation = trial
-                self._iterations += 1
-                if after < tolerance:
-                    return self._converged(parameters, pressure, load, evaluation)
+            here, following, full = found
+            after = self.problem.size(following)
+            if full and damping == 0.0 and after < max(0.4 * size, tolerance):
+                here, size, settled = self._settle(here, following, load, enough)
+            else:
                 size = after
-                following = -self.solver.solve(evaluation.residual)
-                after = problem.size(following)
         raise self._fault(f"{settings.max_iterations} iterations were not enough", evaluation)
 
-    def _search(
+    def _settle(
         self,
-        current: State,
+        here: _Iterate,
         change: Array,
-        residual: Array,
-        size: float,
         load: Load,
-        tolerance: float,
-    ) -> tuple[Array, Array, Evaluation, Array, bool] | None:
+        enough: Callable[[float, _Iterate], bool],
+    ) -> tuple[_Iterate, float, bool]:
+        """Correct with the factors at hand as long as the corrections shrink by half.
+
+        Every correction adds what it has taught to the factors (Broyden's good update, in the
+        form of Deuflhard 2004, algorithm QNERR).
+
+        Returns
+        -------
+        here : _Iterate
+        size : float
+            Of the correction that would follow.
+        settled : bool
+            Whether the last correction was small enough.
+        """
+        past = [change]
+        size = self.problem.size(change)
+        while True:
+            there = self._trial(here, past[-1], 1.0, load)
+            if there is None:
+                return here, size, False
+            self._iterations += 1
+            if enough(size, there):
+                return there, size, True
+            change = -self.solver.solve(there.evaluation.residual)
+            for one, other in pairwise(past):
+                change += self._along(change, one) * other
+            after = self.problem.size(change)
+            if not after < 0.5 * size:
+                return (there, after, False) if after < size else (here, size, False)
+            change /= 1.0 - self._along(change, past[-1])
+            past.append(change)
+            here, size = there, self.problem.size(change)
+
+    def _along(self, change: Array, direction: Array) -> float:
+        """Return the share of a direction that is in a change."""
+        return self.problem.product(change, direction) / self.problem.product(direction, direction)
+
+    def _search(
+        self, here: _Iterate, change: Array, size: float, load: Load, tolerance: float
+    ) -> tuple[_Iterate, Array, bool] | None:
         """Return the first trial along ``change`` that neither crushes nor diverges.
 
         The correction that would follow may be up to three times as long: with contacts
         and fibres that switch, insisting on descent takes more iterations than it saves. But a
         trial that goes far past the point where the forces do no work along the way is taken
         back to there: where contacts close and open, corrections would go to and fro for ever.
+        One after which the forces still do half their work goes on, up to eight times as far:
+        where tissue gives way, every correction alone is far too short.
+
+        Returns
+        -------
+        there : _Iterate
+        following : (n,) array
+            The correction that would follow.
+        full : bool
+            Whether ``change`` was taken as it is.
         """
         moving = change[: self.problem.assembly.n_displacements]
-        start = float(residual[: len(moving)] @ moving)
-        factor = 1.0
+
+        def work(at: _Iterate) -> float:
+            return float(at.evaluation.residual[: len(moving)] @ moving)
+
+        start = work(here)
+        factor, shortened = 1.0, False
         while factor > 0.04:
-            parameters, pressure = self.problem.add(current, change, factor)
-            evaluation = self.problem.evaluate(parameters, pressure, load)
-            if evaluation.volume_ratio.min() > self.settings.least_ratio:
-                work = float(evaluation.residual[: len(moving)] @ moving)
-                if start < 0.0 and work > -0.5 * start and factor > 0.2:
-                    factor *= max(start / (start - work), 0.2)
+            there = self._trial(here, change, factor, load)
+            if there is not None:
+                if start < 0.0 and work(there) > -0.5 * start and factor > 0.2:
+                    factor *= max(start / (start - work(there)), 0.2)
+                    shortened = True
                     continue
-                following = -self.solver.solve(evaluation.residual)
-                after = self.problem.size(following)
-                if after <= max(3.0 * size, tolerance):
-                    return parameters, pressure, evaluation, following, factor == 1.0
-            factor *= 0.5
+                while not shortened and size > tolerance and factor < 8.0:
+                    if not work(there) < 0.5 * start < 0.0:
+                        break
+                    farther = self._trial(here, change, 2.0 * factor, load)
+                    if farther is None or work(farther) > -0.5 * start:
+                        break
+                    there, factor = farther, 2.0 * factor
+                following = -self.solver.solve(there.evaluation.residual)
+                if self.problem.size(following) <= max(3.0 * max(factor, 1.0) * size, tolerance):
+                    return there, following, factor == 1.0
+            factor, shortened = 0.5 * factor, True
         return None
 
-    def _converged(
-        self, parameters: Array, pressure: Array, load: Load, evaluation: Evaluation
-    ) -> State:
+    def _converged(self, here: _Iterate, load: Load) -> State:
         wrong = None if self.solver.negative_pivots is None else self._wrong_pivots()
         statistics = replace(
-            self.problem.check(parameters, load, evaluation.volume_ratio), wrong_pivots=wrong
+            self.problem.check(here.parameters, load, here.evaluation.volume_ratio),
+            wrong_pivots=wrong,
         )
-        self._energies = evaluation.energies
+        self._energies = here.evaluation.energies
         return replace(
-            self.state, parameters=parameters, pressure=pressure, load=load, statistics=statistics
+            self.state,
+            parameters=here.parameters,
+            pressure=here.pressure,
+            load=load,
+            statistics=statistics,
         )
 
     def _fault(self, reason: str, evaluation: Evaluation) -> SolveError:

@@ -18,7 +18,14 @@ from .laws import Array
 from .problem import Problem, State
 from .terms import Load
 
-__all__ = ["DISCRETISATION", "Study", "Variant", "discretisation_error", "variants"]
+__all__ = [
+    "DISCRETISATION",
+    "Study",
+    "Variant",
+    "discretisation_error",
+    "inherited",
+    "variants",
+]
 
 #: Kinds of variants that belong to the discretisation; the others change the model.
 DISCRETISATION = ("mesh", "quadrature", "step")
@@ -67,6 +74,33 @@ def discretisation_error(rows: list[dict[str, Any]]) -> float:
     triangle inequality on what they change together.
     """
     return float(sum(row["rms_change_mm"] or 0.0 for row in rows if row["kind"] in DISCRETISATION))
+
+
+def inherited(problem: Problem, known: State, counts: tuple[int, int, int]) -> State:
+    """Return a state on the mesh whose elements have been split into ``counts`` parts.
+
+    The children take over the parents' field exactly, and their pressure.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the refined mesh.
+    known : State
+        Of the mesh before.
+    counts : tuple of 3 int
+    """
+    rest = problem.rest()
+    corners = np.array([[(c >> k) & 1 for k in range(3)] for c in range(8)], dtype=float)
+    children = np.repeat(np.arange(problem.mesh.n_elements), 8)
+    at = np.tile(corners, (problem.mesh.n_elements, 1))
+    pressure = np.empty(len(rest.pressure))
+    pressure[rest.vertices.ravel()] = known.pressure_at(*parent_points(children, at, counts))
+    return replace(
+        rest,
+        parameters=known.mesh.refine(counts).parameters,
+        pressure=pressure,
+        load=replace(known.load, offsets={}),
+    )
 
 
 class Study:
@@ -141,19 +175,12 @@ class Study:
         refines = variant.counts != (1, 1, 1)
         if self._default is None or variant.kind == "step" or (refines and self.both):
             return None
-        known, rest = self._default[0], problem.rest()
-        parameters, pressure = known.parameters, known.pressure
+        known = replace(self._default[0], load=load)
         if refines:
-            # The children take over the parents' field exactly, and their pressure.
-            parameters = known.mesh.refine(variant.counts).parameters
-            corners = np.array([[(c >> k) & 1 for k in range(3)] for c in range(8)], dtype=float)
-            children = np.repeat(np.arange(problem.mesh.n_elements), 8)
-            at = np.tile(corners, (problem.mesh.n_elements, 1))
-            pressure = np.empty(len(rest.pressure))
-            pressure[rest.vertices.ravel()] = known.pressure_at(
-                *parent_points(children, at, variant.counts)
-            )
-        return replace(rest, parameters=parameters, pressure=pressure, load=load)
+            return inherited(problem, known, variant.counts)
+        return replace(
+            problem.rest(), parameters=known.parameters, pressure=known.pressure, load=load
+        )
 
     def _skin(self, half: Head, state: State, variant: Variant) -> Array:
         """Return the place of the skin's points, those of the left half before the right's."""

@@ -193,25 +193,19 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
 
     They are those of the measured head where there is one, carried to the shape at rest.
     """
-    parts = []
     source = measured or head
     half = source.half or source
-    for index, muscle in enumerate(half.muscles.values()):
-        rule = muscle.quadrature()
-        place = half.tissue.locate(rule.points)
-        inside = place.distance < 0.05
-        parts.append(
-            FibreQuadrature(
-                place.elements[inside],
-                place.xi[inside],
-                rule.weights[inside],
-                rule.directions[inside],
-                np.full(int(inside.sum()), index),
-            )
-        )
+    rules = [muscle.quadrature() for muscle in half.muscles.values()]
+    place = half.tissue.locate(np.concatenate([rule.points for rule in rules]))
+    quadrature = FibreQuadrature(
+        place.elements,
+        place.xi,
+        np.concatenate([rule.weights for rule in rules]),
+        np.concatenate([rule.directions for rule in rules]),
+        np.repeat(np.arange(len(rules)), [len(rule.weights) for rule in rules]),
+    ).take(place.distance < 0.05)
     slacks = {name: muscle.slack for name, muscle in head.muscles.items()}
     law = FibreLaw(sigma_max=settings.sigma_max)
-    quadrature = FibreQuadrature.concatenate(parts)
     if source.half is not None:
         quadrature = both_sides(quadrature, source.half)
     if measured is not None:

@@ -817,3 +817,130 @@ def gather(starts: Any, sources: Any, values: Any, out: Any) -> None:
         for s in range(starts[k], starts[k + 1]):
             total += values[sources[s]]
         out[k] = total
+
+
+@njit(cache=True)
+def list_entries(
+    equations: Any,
+    pressures: Any,
+    pairs: Any,
+    first: Any,
+    filled: Any,
+    columns: Any,
+    sources: Any,
+) -> None:
+    """Say where the element tangents of one pattern go in the upper triangle.
+
+    Called first with empty ``columns``, to count the values of every row in ``filled``, and again
+    with the place of each row's next value in ``filled``.
+
+    Parameters
+    ----------
+    equations : (e, m, 3) int array
+        Row of each component of each function, -1 where there is none.
+    pressures : (e, v) int array
+        The same for the pressures, beyond all the others.
+    pairs : (6, 2) int array
+        Components of the blocks.
+    first : int
+        Place of the pattern's first value among all values.
+    filled : (n,) int array, added to
+    columns, sources : (k,) int arrays, written
+        Column of every value, and its place among all values.
+    """
+    n_elements, m, _ = equations.shape
+    v = pressures.shape[1]
+    fill = len(columns) > 0
+    coupling = first + n_elements * len(pairs) * m * m
+    for e in range(n_elements):
+        for pair in range(len(pairs)):
+            i, j = pairs[pair]
+            for a in range(m):
+                row = equations[e, a, i]
+                if row < 0:
+                    continue
+                for b in range(m):
+                    column = equations[e, b, j]
+                    if column < 0 or (i == j and row > column):
+                        continue
+                    low = min(row, column)
+                    if fill:
+                        columns[filled[low]] = max(row, column)
+                        sources[filled[low]] = first + ((e * len(pairs) + pair) * m + a) * m + b
+                    filled[low] += 1
+        for i in range(3):
+            for a in range(m):
+                row = equations[e, a, i]
+                if row < 0:
+                    continue
+                for s in range(v):
+                    if pressures[e, s] < 0:
+                        continue
+                    if fill:
+                        columns[filled[row]] = pressures[e, s]
+                        sources[filled[row]] = coupling + ((e * 3 + i) * m + a) * v + s
+                    filled[row] += 1
+
+
+@njit(cache=True)
+def merge_entries(rows: Any, columns: Any, sources: Any, indptr: Any) -> Any:
+    """Merge values of equal row and column; every diagonal is there even without a value.
+
+    Parameters
+    ----------
+    rows : (n + 1,) int array
+        Where the values of each row begin.
+    columns : (k,) int array
+    sources : (k,) int array, sorted by entry
+    indptr : (n + 1,) int array, written
+        Where the entries of each row begin.
+
+    Returns
+    -------
+    indices : (entries,) int array
+        Column of every entry, ascending in a row.
+    starts : (entries + 1,) int array
+        Where the sources of each entry begin.
+    """
+    n = len(rows) - 1
+    seen = np.full(n, -1, dtype=np.int64)
+    indptr[0] = 0
+    for row in range(n):
+        seen[row] = row
+        count = 1
+        for k in range(rows[row], rows[row + 1]):
+            if seen[columns[k]] != row:
+                seen[columns[k]] = row
+                count += 1
+        indptr[row + 1] = indptr[row] + count
+    indices = np.empty(indptr[n], dtype=np.int32)
+    starts = np.empty(indptr[n] + 1, dtype=np.int64)
+    starts[0] = 0
+    seen[:] = -1
+    place = np.empty(n, dtype=np.int64)
+    for row in range(n):
+        begin, end = indptr[row], indptr[row + 1]
+        indices[begin] = row
+        seen[row] = row
+        count = begin + 1
+        for k in range(rows[row], rows[row + 1]):
+            if seen[columns[k]] != row:
+                seen[columns[k]] = row
+                indices[count] = columns[k]
+                count += 1
+        indices[begin:end].sort()
+        for k in range(begin, end):
+            place[indices[k]] = k
+            starts[k + 1] = 0
+        for k in range(rows[row], rows[row + 1]):
+            starts[place[columns[k]] + 1] += 1
+        for k in range(begin, end):
+            starts[k + 1] += starts[k]
+        kept = sources[rows[row] : rows[row + 1]].copy()
+        for k in range(begin, end):
+            place[indices[k]] = starts[k]
+        for k in range(len(kept)):
+            column = columns[rows[row] + k]
+            sources[place[column]] = kept[k]
+            place[column] += 1
+    return indices, starts

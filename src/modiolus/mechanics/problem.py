@@ -290,21 +290,26 @@ class Problem:
         )
 
         patterns = [self.pattern]
-        shared: dict[int, list[PointTerm]] = {}
-        self._batches: list[_Batch] = []
+        # Terms without a pattern of their own share the first one.
+        self._groups: dict[PointTerm, int] = {}
         for term in self.terms:
             own = term.pattern()
-            if own is None:
-                shared.setdefault(term.width, []).append(term)
-            else:
-                patterns.append(own)
-                self._batches.append(_Batch.of([term], own, len(patterns) - 1))
-        self._batches += [_Batch.of(terms, self.pattern, 0) for terms in shared.values()]
+            self._groups[term] = 0 if own is None else len(patterns)
+            patterns += [] if own is None else [own]
+        self._batches = self._batched(self.terms, patterns)
         self.assembly = Assembly(patterns, self.fixed, n_vertices)
         squares = np.einsum("eq,eqa->ea", self.weights, (basis(3, xi) @ extraction) ** 2)
         mass = np.bincount(self.pattern.params.ravel(), squares.ravel(), minlength=mesh.n_params)
         number = np.argwhere(self.assembly.equations >= 0)[:, 0]
         self._mass = mass[number] / self.weights.sum()
+
+    def _batched(self, terms: Sequence[PointTerm], patterns: Sequence[Pattern]) -> list[_Batch]:
+        """Put terms of one pattern and width into one batch."""
+        shared: dict[tuple[int, int], list[PointTerm]] = {}
+        for term in terms:
+            # Only the first pattern is shared, so that these are alone.
+            shared.setdefault((self._groups[term], term.width), []).append(term)
+        return [_Batch.of(same, patterns[group], group) for (group, _), same in shared.items()]
 
     @staticmethod
     def gauss_points(mesh: HermiteMesh, gauss_order: int = GAUSS) -> tuple[IntArray, Array]:
@@ -357,8 +362,12 @@ class Problem:
 
         Each parameter counts with the mean square of its function over the tissue.
         """
-        moved = change[: self.assembly.n_displacements]
-        return float(np.sqrt((self._mass * moved**2).sum()))
+        return float(np.sqrt(self.product(change, change)))
+
+    def product(self, one: Array, other: Array) -> float:
+        """Return the mean of the scalar product of two changes' displacements in mm²."""
+        n = self.assembly.n_displacements
+        return float((self._mass * one[:n]) @ other[:n])
 
     def add(self, state: State, change: Array, factor: float = 1.0) -> tuple[Array, Array]:
         """Return parameters and pressures after a change of the unknowns (n,)."""
@@ -471,10 +480,14 @@ class Problem:
         """Return the greatest interpenetration of any contact in mm."""
         return max((term.penetration(parameters, load) for term in self.terms), default=0.0)
 
-    def without_terms(self) -> Problem:
-        """Return the problem of the passive tissue alone; it shares all arrays with this one."""
+    def part(self, terms: Sequence[PointTerm]) -> Problem:
+        """Return the problem of the passive tissue and some of the terms.
+
+        It shares all arrays with this one.
+        """
         bare = copy(self)
-        bare.terms, bare._batches = (), []
+        bare.terms = tuple(terms)
+        bare._batches = self._batched(terms, [group.pattern for group in self.assembly.groups])
         return bare
 
     def augment(self, parameters: Array, load: Load) -> Load:
