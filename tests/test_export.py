@@ -2,15 +2,20 @@
 
 import json
 import struct
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.export import Shape, write_glb, write_vtu
+from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh, bricks, outward
 from modiolus.hermite.tessellate import Mirror, tessellate
+from modiolus.scans.result import STATE_FILE, save_state
 
 SKIN = Shape(np.eye(3), np.array([[0, 1, 2]]), (1.0, 1.0, 1.0), "skin")
 
@@ -191,3 +196,77 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, capfd):
         write_vtu(tmp_path / "gone" / "a.vtu", np.zeros((8, 3)), np.arange(8)[None], {})
     assert error.value.filename.endswith("a.vtu")
     assert capfd.readouterr() == ("", "")
+
+
+def test_an_animation_lets_the_targets_come_and_go(tmp_path):
+    up, down = SKIN.vertices + 1.0, SKIN.vertices - 1.0
+    path = tmp_path / "face.glb"
+    write_glb(path, [SKIN], {"skin": {"up": up, "down": down}}, seconds=3.0)
+    content, accessor = read_glb(path)
+    (animation,) = content["animations"]
+    (channel,), (sampler,) = animation["channels"], animation["samplers"]
+    assert channel["target"] == {"node": 0, "path": "weights"}
+    np.testing.assert_allclose(accessor(sampler["input"]).ravel(), [0.0, 1.5, 3.0, 4.5, 6.0])
+    weights = accessor(sampler["output"]).reshape(5, 2)
+    assert weights.tolist() == [[0, 0], [1, 0], [0, 0], [0, 1], [0, 0]]
+
+    other = replace(SKIN, name="teeth")
+    with pytest.raises(InputError, match="targets"):
+        write_glb(path, [SKIN, other], {"skin": {"up": up}, "teeth": {"down": down}}, seconds=1.0)
+
+
+@pytest.fixture(scope="module")
+def states(tmp_path_factory):
+    """Folders with two states of the shipped head, made by hand."""
+    folder, head = tmp_path_factory.mktemp("states"), Head.load("taro")
+    rest = head.tissue.parameters
+    pressure = np.zeros(len(head.tissue.corner_nodes()[1]))
+    for name, factor, jaw in [("wide", 1.02, 0.0), ("open", 1.0, 0.1)]:
+        (folder / name).mkdir()
+        file = folder / name / STATE_FILE
+        save_state(file, name, head, "taro", rest * [factor, 1.0, 1.0], pressure, {}, jaw)
+    return folder
+
+
+def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
+    sources = [str(states / name) for name in ("wide", "open")]
+    with pytest.raises(SystemExit) as left:
+        main(["export", *sources, "--glb", str(tmp_path / "faces"), "--seconds", "2", "--json"])
+    assert left.value.code == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["shape_keys"], record["seconds"]) == (["wide", "open"], 4.0)
+    content, accessor = read_glb(Path(record["files"]["model"]))
+    names = [node["name"] for node in content["nodes"]]
+    keys = {
+        name: mesh["extras"]["targetNames"]
+        for name, mesh in zip(names, content["meshes"], strict=True)
+        if "extras" in mesh
+    }
+    assert set(keys) == {"skin", "lining", "teeth_lower", "gums_lower", "mouth"}
+    assert all(value == ["wide", "open"] for value in keys.values())
+    skin = content["meshes"][names.index("skin")]["primitives"][0]
+    rest = accessor(skin["attributes"]["POSITION"])
+    wide, still = (accessor(target["POSITION"]) for target in skin["targets"])
+    # Half a head, widened from the origin and mirrored: its left half moves with the factor.
+    left_half = rest[:, 0] > 0.0
+    np.testing.assert_allclose(wide[left_half, 0], 0.02 * rest[left_half, 0], atol=2e-6)
+    assert not still.any()
+    assert len(content["animations"][0]["channels"]) == 5
+    assert "CC" in (tmp_path / "faces/LICENSE").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["wide", "wide"], "already"),
+        (["wide", "none"], "none"),
+        (["wide", "--seconds", "nan"], "--seconds"),
+    ],
+)
+def test_what_makes_no_model_is_refused(states, tmp_path, monkeypatch, capsys, arguments, word):
+    monkeypatch.chdir(states)
+    with pytest.raises(SystemExit) as left:
+        main(["export", *arguments, "--glb", str(tmp_path / "faces")])
+    error = capsys.readouterr().err
+    assert left.value.code == 2 and error.count("\n") == 1 and word in error
+    assert not list(tmp_path.iterdir())

@@ -127,7 +127,7 @@ def simpleitk() -> Any:
         import SimpleITK
     except ImportError:
         raise InputError(
-            "images: SimpleITK is not installed; pip install 'modiolus[images]'"
+            "images: SimpleITK is not installed; run: pip install simpleitk"
         ) from None
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
     return SimpleITK

@@ -1,24 +1,33 @@
-"""``modiolus export``: a head or a result for other programs."""
+"""``modiolus export``: a head or results for other programs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 
+if TYPE_CHECKING:
+    from modiolus.scans.result import Result
 
-@app.command(epilog="Examples: modiolus export taro --ex out/ex · modiolus export out/sad --ex ex")
+
+@app.command(
+    epilog="Examples: modiolus export taro --ex out/ex · "
+    "modiolus export out/sad out/terror --glb out/faces --seconds 2"
+)
 def export(
-    source: Annotated[
-        str,
+    sources: Annotated[
+        list[str],
         typer.Argument(
-            metavar="HEAD|RESULT",
-            help="A shipped head, a folder with one, or a folder that simulate wrote.",
+            metavar="HEAD|RESULT...",
+            help="A shipped head, a folder with one, or folders that simulate wrote.",
+            show_default=False,
         ),
     ],
     ex: Annotated[
@@ -31,15 +40,38 @@ def export(
         bool,
         typer.Option("--cmgui", help="Write the older .exnode and .exelem instead of .exf."),
     ] = False,
+    glb: Annotated[
+        Path | None,
+        typer.Option(
+            "--glb", metavar="DIR", help="Folder for faces.glb: every result as a shape key."
+        ),
+    ] = None,
+    seconds: Annotated[
+        float,
+        typer.Option(help="With --glb: let each shape key come and go for so long, in turn."),
+    ] = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write tissue and muscles of a head, at rest and as computed, as EX files.
+    """Write a head or a result as EX files, or results of a head as shape keys of one model.
 
-    Zinc, its applications and CMGUI read them.
+    Zinc, its applications and CMGUI read EX files; Blender and other animation programs read glb.
     """
-    if ex is None:
-        raise InputError("--ex: no folder given; name one, such as --ex out/ex")
+    if (ex is None) == (glb is None):
+        raise InputError("--ex, --glb: give one of them, such as --glb out/faces")
+    if not 0.0 <= seconds <= 60.0:
+        raise InputError(f"--seconds {seconds:g}: not within 0 to 60; give a number in there")
+    if ex is not None:
+        if len(sources) > 1:
+            raise InputError(f"{sources[1]}: EX files take one head or result; export it apart")
+        record, text = _write_ex(sources[0], ex, cmgui)
+    else:
+        assert glb is not None
+        record, text = _write_glb(sources, glb, seconds)
+    show(record, text, as_json, quiet)
+
+
+def _write_ex(source: str, target: Path, cmgui: bool) -> tuple[dict[str, Any], str]:
     from modiolus.export.ex import write_head_ex
     from modiolus.face.head import Head
     from modiolus.scans.result import STATE_FILE, load_result
@@ -52,10 +84,10 @@ def export(
             head = head.whole
     else:
         head = Head.load(source)
-    with whole_folder(ex, marker="report.json", option="--ex") as folder:
+    with whole_folder(target, marker="report.json", option="--ex") as folder:
         files = write_head_ex(head, folder, parameters, cmgui)
         (folder / "LICENSE").write_text(head.licence_text(), encoding="utf-8")
-        places = {name: str(ex / path.name) for name, path in files.items()}
+        places = {name: str(target / path.name) for name, path in files.items()}
         record = {
             "head": head.name,
             "elements": head.tissue.n_elements,
@@ -66,4 +98,45 @@ def export(
         write_report(folder, record)
     lines = [f"{head.name}: {head.tissue.n_elements} elements, {len(head.muscles)} muscles"]
     lines += [f"{name}: {path}" for name, path in places.items()]
-    show(record, "\n".join(lines), as_json, quiet)
+    return record, "\n".join(lines)
+
+
+def _write_glb(sources: Sequence[str], target: Path, seconds: float) -> tuple[dict[str, Any], str]:
+    from modiolus.export import write_glb
+    from modiolus.export.scene import FaceScene
+    from modiolus.scans.result import load_result
+
+    results: dict[str, Result] = {}
+    for source in sources:
+        result = load_result(source)
+        if result.expression in results:
+            raise InputError(
+                f"{source}: there is a {result.expression} already; leave one of them out"
+            )
+        results[result.expression] = result
+    first, *others = results.values()
+    rest = first.head.tissue.parameters
+    for other, source in zip(others, sources[1:], strict=True):
+        if not np.array_equal(other.head.tissue.parameters, rest):
+            raise InputError(f"{source}: it is of another head than {sources[0]}; export it apart")
+    head = first.head
+    scene = FaceScene(head)
+    with whole_folder(target, marker="report.json", option="--glb") as folder:
+        states = {name: (result.parameters, result.jaw) for name, result in results.items()}
+        write_glb(
+            folder / "faces.glb",
+            scene.shapes(rest),
+            scene.targets(states),
+            str(head.about.get("attribution", "")),
+            seconds,
+        )
+        (folder / "LICENSE").write_text(head.licence_text(), encoding="utf-8")
+        record = {
+            "head": head.name,
+            "shape_keys": list(results),
+            "seconds": seconds * len(results),
+            "files": {"model": str(target / "faces.glb")},
+        }
+        write_report(folder, record)
+    text = f"{head.name}: {', '.join(results)}\nModel: {target / 'faces.glb'}"
+    return record, text

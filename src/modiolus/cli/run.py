@@ -145,17 +145,10 @@ class Runner:
         jaw = state.load.jaw
         heading = f"{title or name} · {self.head.name}"
         draw_face(self.scene, rest, moved, heading, folder / "face.png", jaw)
-        still, shapes = self.scene.shapes(rest), self.scene.shapes(moved, jaw=jaw)
         write_glb(
             folder / "face.glb",
-            still,
-            {
-                there.name: {name: there.vertices}
-                for here, there in zip(still, shapes, strict=True)
-                # Of the deep structures only those that have moved need a target.
-                if here.name in ("skin", "lining")
-                or not np.array_equal(here.vertices, there.vertices)
-            },
+            self.scene.shapes(rest),
+            self.scene.targets({name: (moved, jaw)}),
             str(self.head.about.get("attribution", "")),
         )
         self._write_tissue(state, folder / "tissue.vtu")

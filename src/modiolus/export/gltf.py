@@ -31,6 +31,7 @@ def write_glb(
     shapes: Sequence[Shape],
     targets: Mapping[str, Mapping[str, Array]],
     attribution: str = "",
+    seconds: float = 0.0,
 ) -> None:
     """Write surfaces with their morph targets as one binary glTF file.
 
@@ -44,11 +45,14 @@ def write_glb(
         For the name of a shape: the vertices in mm at the full strength of each named target.
     attribution : str
         Who made the anatomy and under which licence.
+    seconds : float
+        Time that an animation gives to each target to come and go, one after the other; none for 0.
 
     Raises
     ------
     InputError
-        There is no shape or an empty one, or a target does not fit its shape.
+        There is no shape or an empty one, a target does not fit its shape, or shapes that are to
+        be animated together have other targets.
     OSError
         The file cannot be written.
     """
@@ -61,6 +65,8 @@ def write_glb(
     writer = _Writer()
     for shape in shapes:
         writer.add(shape, targets.get(shape.name, {}))
+    if seconds:
+        writer.animate(seconds)
     writer.save(path, attribution)
 
 
@@ -71,7 +77,9 @@ class _Writer:
         self.gltf = pygltflib.GLTF2()
         self.blob = bytearray()
 
-    def accessor(self, array: NDArray[np.generic], kind: str, target: int, bounds: bool) -> int:
+    def accessor(
+        self, array: NDArray[np.generic], kind: str, target: int | None, bounds: bool
+    ) -> int:
         """Append an array and return the number of its accessor."""
         self.blob.extend(b"\0" * (-len(self.blob) % 4))
         gltf = self.gltf
@@ -88,8 +96,8 @@ class _Writer:
                 componentType=pygltflib.UNSIGNED_INT if whole else pygltflib.FLOAT,
                 count=len(array),
                 type=kind,
-                min=array.min(axis=0).tolist() if bounds else None,
-                max=array.max(axis=0).tolist() if bounds else None,
+                min=np.atleast_1d(array.min(axis=0)).tolist() if bounds else None,
+                max=np.atleast_1d(array.max(axis=0)).tolist() if bounds else None,
             )
         )
         return len(gltf.accessors) - 1
@@ -150,6 +158,37 @@ class _Writer:
             )
         )
         gltf.nodes.append(pygltflib.Node(name=shape.name, mesh=len(gltf.meshes) - 1))
+
+    def animate(self, seconds: float) -> None:
+        """Let the targets come and go one after the other."""
+        gltf = self.gltf
+        moving = [
+            (node, mesh.extras["targetNames"])
+            for node, mesh in enumerate(gltf.meshes)
+            if "targetNames" in mesh.extras
+        ]
+        if not moving or any(names != moving[0][1] for _, names in moving):
+            raise InputError("targets: animated shapes have other ones; give all of them the same")
+        n = len(moving[0][1])
+        # At rest at the even keys, and at the full strength of one target at each odd one.
+        keys = 0.5 * seconds * np.arange(2 * n + 1, dtype=np.float32)
+        weights = np.zeros((2 * n + 1, n), dtype=np.float32)
+        weights[1::2] = np.eye(n)
+        times = self.accessor(keys, pygltflib.SCALAR, None, True)
+        sampler = pygltflib.AnimationSampler(
+            input=times,
+            output=self.accessor(weights.ravel(), pygltflib.SCALAR, None, False),
+            interpolation=pygltflib.ANIM_LINEAR,
+        )
+        channels = [
+            pygltflib.AnimationChannel(
+                sampler=0, target=pygltflib.AnimationChannelTarget(node=node, path="weights")
+            )
+            for node, _ in moving
+        ]
+        gltf.animations.append(
+            pygltflib.Animation(name="expressions", channels=channels, samplers=[sampler])
+        )
 
     def save(self, path: Path, attribution: str) -> None:
         """Write what has been added."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -106,6 +107,28 @@ class FaceScene:
             gloss=0.05,
         )
         return [skin, lining, *(self._with_jaw(shape, jaw) for shape in self._still)]
+
+    def targets(self, states: Mapping[str, tuple[Array, float]]) -> dict[str, dict[str, Array]]:
+        """Return the vertices of everything that moves in some states, as morph targets.
+
+        Parameters
+        ----------
+        states : mapping of str to ((n_params, 3) array, float)
+            Parameters of the tissue, of the half or of the whole head, and angle of the jaw in
+            radians, by name.
+
+        Returns
+        -------
+        dict of str to dict of str to (n, 3) array
+            Vertices (mm) by shape and by state. A shape that moves in one has all states.
+        """
+        moved = [self.shapes(parameters, jaw=jaw) for parameters, jaw in states.values()]
+        targets = {}
+        for still, *there in zip(self.shapes(self._rest), *moved, strict=True):
+            if not all(np.array_equal(shape.vertices, still.vertices) for shape in there):
+                vertices = [shape.vertices for shape in there]
+                targets[still.name] = dict(zip(states, vertices, strict=True))
+        return targets
 
     def _with_jaw(self, shape: Shape, angle: float) -> Shape:
         """Return a deep structure where the jaw has taken it."""
