@@ -43,6 +43,11 @@ _HOST_SMOOTHING = (3e3, 3e3, 1e3, 1e3, 3e2, 3e2, 1e2, 1e2, 30.0, 30.0)
 _SKIN_SMOOTHING = ((1e-1, 1.0), (3e-2, 0.3), (1e-2, 0.1), (3e-3, 3e-2), (1e-3, 1e-2), (1e-3, 1e-2))
 #: Weight of the change of the derivatives through the tissue: the inner surface follows.
 _THROUGH = 1.0
+#: An element folds when its volume falls below this share somewhere, or its scaled Jacobian below
+#: a share of what it was, or below a value when that is less.
+_CRUSHED, _BENT = 0.3, (0.5, 0.3)
+#: By how much it is then made stiffer, and how often at most in one step.
+_STIFFER, _TRIES = 10.0, 8
 #: Weight of a point of a margin relative to one of the skin.
 _MARGIN_WEIGHT = 8.0
 #: Weight of a point of the cuts at neck and scalp, which keep their height.
@@ -368,14 +373,35 @@ def margin_targets(skin: _Skin, mesh: HermiteMesh, margins: Margins) -> list[Poi
 
 def _matches(
     scans: Iterable[Matcher], points: Array, normals: Array, reach: float
-) -> list[tuple[NDArray[np.bool_], Array, Array]]:
-    """Match points with each of some surfaces: which, where, and the normals there."""
+) -> list[tuple[NDArray[np.bool_], Array]]:
+    """Match points, with the normals there, with each of some surfaces: which, and where."""
     out = []
     for scan in scans:
         there, facing, good = scan.matches(points, reach)
-        good = good & (np.einsum("ni,ni->n", facing, normals) > _ALIGNED)
-        out.append((good, there, facing))
+        out.append((good & (np.einsum("ni,ni->n", facing, normals) > _ALIGNED), there))
     return out
+
+
+def _skin_targets(
+    elements: NDArray[np.int64],
+    xi: Array,
+    normals: Array,
+    found: list[tuple[NDArray[np.bool_], Array]],
+    sliding: float,
+) -> list[PointTarget]:
+    """Return where places of the skin should lie; they may slide across their own normals.
+
+    The normals of a scan are not used: on its steps and noise they point anywhere, and a place
+    would be pushed along the skin.
+    """
+    seen = np.maximum(np.sum([good for good, _ in found], axis=0), 1)
+    return [
+        PointTarget(
+            "skin", elements[good], xi[good], there[good], 1.0 / seen[good], normals[good], sliding
+        )
+        for good, there in found
+        if good.any()
+    ]
 
 
 def _outer_normals(head: Head, mesh: HermiteMesh, skin: _Skin) -> Array:
@@ -407,14 +433,7 @@ def _deformed(
         moved = host(rest)
         normals = _moved_normals(head, host, skin)
         found = _matches(scans, moved, normals, reach)
-        seen = np.maximum(np.sum([good for good, _, _ in found], axis=0), 1)
-        targets = [
-            PointTarget(
-                "skin", cells[good], places[good], there[good], 1.0 / seen[good], facing[good], 0.1
-            )
-            for good, there, facing in found
-            if good.any()
-        ]
+        targets = _skin_targets(cells, places, normals, found, 0.1)
         for edge in [*edges, skin.cuts]:
             element, xi, _ = host.places(head.tissue.evaluate(edge.elements, edge.xi))
             targets.append(replace(edge, elements=element, xi=xi))
@@ -439,32 +458,43 @@ def _moved_normals(head: Head, host: _Host, skin: _Skin) -> Array:
 def _fitted(
     head: Head, start: HermiteMesh, skin: _Skin, scans: list[Matcher], margins: list[PointTarget]
 ) -> HermiteMesh:
-    """Fit the outer surface of a deformed head to the scan; the tissue below follows it."""
+    """Fit the outer surface of a deformed head to the scan; the tissue below follows it.
+
+    Elements that would fold, where a scan is faulty or the closest point is not the right one,
+    are made stiffer until they do not.
+    """
     held = _plane_mask(head)
     mesh = start
+    stiffness = np.ones(start.n_elements)
     for (first, second), reach in zip(_SKIN_SMOOTHING, _reaches(len(_SKIN_SMOOTHING)), strict=True):
         points = mesh.evaluate(skin.elements, skin.xi)
-        found = _matches(scans, points, _outer_normals(head, mesh, skin), min(reach, 8.0))
-        seen = np.maximum(np.sum([good for good, _, _ in found], axis=0), 1)
-        targets = [
-            PointTarget(
-                "skin",
-                skin.elements[good],
-                skin.xi[good],
-                there[good],
-                1.0 / seen[good],
-                facing[good],
+        normals = _outer_normals(head, mesh, skin)
+        found = _matches(scans, points, normals, min(reach, 8.0))
+        targets = _skin_targets(skin.elements, skin.xi, normals, found, 0.0)
+        for _ in range(_TRIES):
+            smoothing = Smoothing(
+                first=(first, first, _THROUGH),
+                second=(second, second, _THROUGH, second, _THROUGH, _THROUGH),
+                relative=True,
+                stiffness=stiffness,
             )
-            for good, there, facing in found
-            if good.any()
-        ]
-        smoothing = Smoothing(
-            first=(first, first, _THROUGH),
-            second=(second, second, _THROUGH, second, _THROUGH, _THROUGH),
-            relative=True,
-        )
-        mesh = fit(start, [*targets, *margins, skin.cuts], smoothing, held, iterations=1).mesh
+            mesh = fit(start, [*targets, *margins, skin.cuts], smoothing, held, iterations=1).mesh
+            folding = _folding(start, mesh)
+            if not folding.any():
+                break
+            stiffness = np.where(folding, _STIFFER * stiffness, stiffness)
     return mesh
+
+
+def _folding(start: HermiteMesh, mesh: HermiteMesh) -> NDArray[np.bool_]:
+    """Return which elements (n_elements,) have lost too much of their volume or shape."""
+    at = _samples(start, 5)
+    old, new = (np.linalg.det(item.jacobian(*at)) for item in (start, mesh))
+    shapes = [
+        item.scaled_jacobian(*at).reshape(mesh.n_elements, -1).min(axis=1) for item in (start, mesh)
+    ]
+    crushed = (new < _CRUSHED * old).reshape(mesh.n_elements, -1).any(axis=1)
+    return np.asarray(crushed | (shapes[1] < np.minimum(_BENT[0] * shapes[0], _BENT[1])))
 
 
 @dataclass(frozen=True)
@@ -778,5 +808,5 @@ def _seen(head: Head, surface: Surface) -> float:
     points = head.tissue.evaluate(skin.elements, skin.xi)
     normals = _outer_normals(head, head.tissue, skin)
     scans = [Matcher(part, 1000) for part in (surface, surface.mirrored(head.midplane))]
-    found = [good for good, _, _ in _matches(scans, points, normals, 2.0)]
+    found = [good for good, _ in _matches(scans, points, normals, 2.0)]
     return float(np.any(found, axis=0).mean())

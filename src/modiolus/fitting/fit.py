@@ -137,12 +137,15 @@ class Smoothing:
         Penalise the change from the initial mesh instead of the derivative itself.
     points : int
         Gauss points a direction; with 4 the integrals are exact.
+    stiffness : float or (n_elements,) array
+        Factor of the whole penalty in each element.
     """
 
     first: float | Sequence[float] = 0.0
     second: float | Sequence[float] = 1e-2
     relative: bool = False
     points: int = 4
+    stiffness: float | Array = 1.0
 
 
 @dataclass(frozen=True)
@@ -195,9 +198,10 @@ def sobolev(mesh: HermiteMesh, smoothing: Smoothing) -> sp.csr_matrix:
     Raises
     ------
     InputError
-        There are not as many weights as derivatives, or one is below 0.
+        There are not as many weights as derivatives (or elements), or one is below 0.
     """
     elements, xi, weights = mesh.gauss_points(smoothing.points)
+    weights = weights * _weights("stiffness", smoothing.stiffness, mesh.n_elements)[elements]
     first, second = _derivative_orders(mesh.dim)
     factors = np.concatenate(
         [
@@ -213,7 +217,7 @@ def sobolev(mesh: HermiteMesh, smoothing: Smoothing) -> sp.csr_matrix:
     return sp.csr_matrix(total)
 
 
-def _weights(name: str, given: float | Sequence[float], n: int) -> Array:
+def _weights(name: str, given: float | Sequence[float] | Array, n: int) -> Array:
     weights = np.asarray(given, dtype=float)
     if weights.shape not in ((), (n,)) or not (weights >= 0.0).all():
         raise InputError(f"smoothing: {name} is not one weight or {n}, from 0 up; mend it")

@@ -27,6 +27,8 @@ SCALES = (0.7, 1.45)
 _COARSE, _FINE = 500, 4000
 #: Length (mm) by which two opposite unit normals are apart in the search.
 _TURN = 25.0
+#: Radius (mm) of the surroundings whose shape tells how much a place counts in the score.
+_AROUND = 15.0
 #: Distance (mm) beyond which it does not matter how far a point is, in the search's score.
 _FAR = 12.0
 #: Poses of the search that are refined.
@@ -330,6 +332,7 @@ def register(
         ]
     else:
         starts = _search(moving, fixed, scaled)
+    features = _features(fixed)
     found: list[tuple[float, Registration]] = []
     fault: SolveError | None = None
     for start in starts:
@@ -338,7 +341,7 @@ def register(
         except SolveError as error:
             fault = error
             continue
-        found.append((_score(pose, moving, fixed), pose))
+        found.append((_score(pose, moving, fixed, features), pose))
     if not found:
         assert fault is not None
         raise fault
@@ -346,11 +349,26 @@ def register(
     return _icp(moving, fixed, best, scaled, True, 60, 15.0)
 
 
-def _score(pose: Registration, moving: Matcher, fixed: Matcher) -> float:
-    """Mean distance (mm) of the target to the surface and of the nearer half back, capped."""
-    there = moving.surface.closest(pose.undo(fixed.points)).distance * pose.scale
-    back = np.sort(fixed.surface.closest(pose.apply(moving.points)).distance)[: _FINE // 2]
-    return float(np.minimum(there, _FAR).mean() + np.minimum(back, _FAR).mean())
+def _features(matcher: Matcher) -> Array:
+    """Return how much the surface around each sample differs from a plane, (n,), 1 in the mean.
+
+    A forehead and the back of a head are alike; nose, lips and eyes tell which is which.
+    """
+    around = cKDTree(matcher.points).query_ball_point(matcher.points, _AROUND)
+    bent = np.array([1.0 - np.linalg.norm(matcher.normals[k].mean(axis=0)) for k in around])
+    return np.asarray(bent / bent.mean())
+
+
+def _score(pose: Registration, moving: Matcher, fixed: Matcher, weights: Array) -> float:
+    """Mean distance (mm) of the target to the surface, with what their normals differ by.
+
+    Capped; of what the surface does not show half of the cap counts.
+    """
+    near, normals, shown = moving.matches(pose.undo(fixed.points))
+    away = np.linalg.norm(pose.apply(near) - fixed.points, axis=1)
+    turned = np.linalg.norm(normals @ pose.rotation.T - fixed.normals, axis=1)
+    cost = np.minimum(np.hypot(away, 0.5 * _TURN * turned), _FAR)
+    return float(np.mean(weights * np.where(shown, cost, 0.5 * _FAR)))
 
 
 def guess_unit(surface: Surface, target: Surface) -> float:
