@@ -7,56 +7,68 @@ import numpy as np
 import pytest
 
 from modiolus.cli import main
-from modiolus.cli.run import Runner
 from modiolus.errors import InputError
 from modiolus.face.head import Head
 from modiolus.mechanics import Continuation, LoadNotReached, Settings
 from modiolus.mechanics.convergence import Study, discretisation_error, variants
-from modiolus.mechanics.face import face_problem
-from modiolus.scans.result import Result, save_state
-
-
-def result_of(head, state):
-    return Result("x", head, state.parameters, state.pressure, state.activations, 0.0)
+from modiolus.mechanics.face import Face, face_problem
+from modiolus.scans.result import save_state
 
 
 @pytest.fixture(scope="module")
-def runner(block_head):
-    return Runner(block_head, quiet=True)
+def face(block_head):
+    return Face(block_head)
 
 
 @pytest.fixture(scope="module")
-def contracted(runner):
-    return runner.solve("x", {"strap": 0.2})
+def contracted(face):
+    return face.solve({"strap": 0.2})
 
 
-def test_an_earlier_state_saves_work_and_changes_nothing(runner, contracted):
-    cold = runner.solve("x", {"strap": 0.22})
-    warm = runner.solve("x", {"strap": 0.22}, start=result_of(runner.head, contracted))
+def test_an_earlier_state_saves_work_and_changes_nothing(face, contracted):
+    cold = face.solve({"strap": 0.22})
+    warm = face.solve({"strap": 0.22}, start=contracted)
     assert np.abs(warm.parameters - cold.parameters).max() < 5e-3
     assert warm.statistics.factorisations < cold.statistics.factorisations
 
 
-def test_one_side_can_begin_at_a_state_of_both(runner, contracted):
-    start = result_of(runner.head, contracted)
-    same = runner.solve("x", {"strap_left": 0.2, "strap_right": 0.2}, start=start)
-    left, right = runner.head.halves(same.parameters)
-    assert len(same.parameters) == runner.head.both.mesh.n_params
+def test_one_side_can_begin_at_a_state_of_both(face, contracted):
+    arrays = contracted.parameters, contracted.pressure
+    start = face.state(*arrays, contracted.activations, both=True)
+    same = face.solve({"strap_left": 0.2, "strap_right": 0.2}, start=start)
+    left, right = face.head.halves(same.parameters)
+    assert len(same.parameters) == face.head.both.mesh.n_params
     assert np.abs(left - contracted.parameters).max() < 5e-3
     assert np.abs(right - left).max() < 5e-3
-    wink = runner.solve("x", {"strap_left": 0.22}, start=result_of(runner.head, same))
-    left, right = runner.head.halves(wink.parameters)
+    wink = face.solve({"strap_left": 0.22}, start=same)
+    left, right = face.head.halves(wink.parameters)
     assert np.abs(right - left).max() > 0.05
-    back = runner.solve("x", {"strap": 0.2}, start=result_of(runner.head, wink))
-    there = runner.head.landmark_points(contracted.parameters)
-    for name, point in runner.head.landmark_points(back.parameters).items():
+    back = face.solve({"strap": 0.2}, start=wink)
+    there = face.head.landmark_points(contracted.parameters)
+    for name, point in face.head.landmark_points(back.parameters).items():
         assert np.linalg.norm(point - there[name]) < 0.02
 
 
-def test_a_state_with_other_pressures_is_refused(runner, contracted):
-    start = result_of(runner.head, contracted)
-    with pytest.raises(InputError, match="--from"):
-        runner.solve("x", {"strap": 0.2}, start=replace(start, pressure=start.pressure[:-1]))
+def test_a_state_is_made_again_of_its_arrays(face, contracted):
+    arrays = contracted.parameters, contracted.pressure
+    again = face.state(*arrays, contracted.activations)
+    assert face.problem(again) is face.half
+    assert again.activations == contracted.activations
+    both = face.state(*arrays, contracted.activations, both=True)
+    assert face.problem(both) is face.whole
+    assert both.activations == {"strap_left": 0.2, "strap_right": 0.2}
+    with pytest.raises(InputError, match="do not fit the head"):
+        face.state(contracted.parameters, contracted.pressure[:-1], {})
+
+
+def test_an_expression_is_solved_by_its_file(face, contracted, tmp_path):
+    (tmp_path / "pull.toml").write_text("[activations]\nstrap = 0.2\n")
+    told = []
+    state = face.express(
+        str(tmp_path / "pull.toml"), report=lambda share, message: told.append(share)
+    )
+    assert np.array_equal(state.parameters, contracted.parameters)
+    assert told[-1] == 1.0
 
 
 def test_a_failure_names_place_muscle_term_and_remedy(block_head):
@@ -99,7 +111,7 @@ def test_a_state_of_another_head_is_refused(capsys, tmp_path):
     for folder, head, words in (
         (tmp_path, "ict", "a state of the head taro, not of ict"),
         (tmp_path / "none", "taro", "no state.npz"),
-        (tmp_path, "taro", "the pressures of the state do not fit"),
+        (tmp_path, "taro", "do not fit the head"),
     ):
         out = str(tmp_path / "out")
         arguments = ["simulate", "sad", "--head", head, "--from", str(folder), "--out", out]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,16 +12,15 @@ from typing import Any
 import numpy as np
 
 from modiolus.cli.outputs import write_report
-from modiolus.errors import InputError
 from modiolus.export import write_glb, write_vtu
 from modiolus.export.scene import FaceScene
 from modiolus.face.head import Head
 from modiolus.face.refine import at_points
 from modiolus.hermite.tessellate import tessellate
-from modiolus.mechanics import Continuation, Problem, State
-from modiolus.mechanics.face import face_load, face_problem
+from modiolus.mechanics import State
+from modiolus.mechanics.face import Face
 from modiolus.progress import Progress
-from modiolus.scans.result import STATE_FILE, Result, save_state
+from modiolus.scans.result import STATE_FILE, save_state
 from modiolus.view.face import draw_face
 
 __all__ = ["Runner"]
@@ -46,6 +44,7 @@ class Runner:
 
     def __init__(self, head: Head, quiet: bool = False, source: str = "") -> None:
         self.head = head
+        self.face = Face(head)
         self.source = str(Path(source).resolve()) if Path(source, "head.toml").is_file() else source
         self.quiet = quiet
 
@@ -54,75 +53,16 @@ class Runner:
         """What is drawn of the head."""
         return FaceScene(self.head)
 
-    @cached_property
-    def problem(self) -> Problem:
-        """The problem of the half face."""
-        return face_problem(self.head)
-
-    @cached_property
-    def whole_problem(self) -> Problem:
-        """The problem of both sides."""
-        return face_problem(self.head.whole)
-
     def solve(
         self,
         name: str,
         activations: Mapping[str, float],
         jaw_open: float = 0.0,
-        start: Result | None = None,
+        start: State | None = None,
     ) -> State:
-        """Follow the face to a load; on both sides where the muscles' names have one.
-
-        Parameters
-        ----------
-        name : str
-            Of the expression.
-        activations : mapping of str to float
-            0..1 by muscle, as `modiolus.face.expression.resolve` returns them.
-        jaw_open : float
-            Angle in radians.
-        start : Result, optional
-            A state of this head to begin at; rest by default. From one with both sides the way
-            stays on both.
-
-        Raises
-        ------
-        InputError
-            `start` does not fit the head.
-        LoadNotReached
-            The computation stopped on the way.
-        """
-        half = set(self.head.muscles)
-        one = set(activations) <= half
-        if start is not None and len(start.parameters) != self.head.tissue.n_params:
-            if one:
-                activations = _on_both(activations)
-            one = False
-        problem = self.problem if one else self.whole_problem
-        head = self.head if one else self.head.whole
-        load = face_load(problem, head, activations, jaw_open)
-        state = None if start is None else self._begin(start, problem, head)
+        """Follow the face to a load and show how far it is; see `modiolus.mechanics.face.Face`."""
         with Progress(f"solving {name}", quiet=self.quiet) as progress:
-            return Continuation(problem, state, report=progress.update).run(load)
-
-    def _begin(self, start: Result, problem: Problem, head: Head) -> State:
-        """Return an earlier state as one of a problem of this head, half or whole."""
-        rest, parameters, pressure = problem.rest(), start.parameters, start.pressure
-        activations = start.activations
-        if len(parameters) != problem.mesh.n_params:
-            parameters = self.head.both.whole(parameters)
-            corners = self.head.tissue.corner_nodes()[0]
-            # The image of a corner lies at the other end of xi1.
-            corners = np.vstack([corners, corners[:, np.arange(8) ^ 1]])
-            if len(pressure) == corners.max() + 1:
-                both = np.empty(len(rest.pressure))
-                both[rest.vertices] = pressure[corners]
-                pressure = both
-            activations = _on_both(activations)
-        if len(pressure) != len(rest.pressure):
-            raise InputError("--from: the pressures of the state do not fit; simulate it anew")
-        load = face_load(problem, head, activations, start.jaw)
-        return replace(rest, parameters=parameters, pressure=pressure, load=load)
+            return self.face.solve(activations, jaw_open, start, progress.update)
 
     def write(
         self, name: str, title: str, state: State, folder: Path, target: Path, began: float
@@ -178,7 +118,7 @@ class Runner:
     def record(self, name: str, state: State) -> dict[str, Any]:
         """Return the figures of a state."""
         statistics = state.statistics
-        problem = self.problem if self._on_half(state) else self.whole_problem
+        problem = self.face.problem(state)
         return {
             "expression": name,
             "head": self.head.name,
@@ -200,9 +140,6 @@ class Runner:
             "files": {},
         }
 
-    def _on_half(self, state: State) -> bool:
-        return len(state.parameters) == self.head.tissue.n_params
-
     def landmarks(self, state: State) -> dict[str, dict[str, list[float]]]:
         """Return rest and displacement in mm of the landmarks of both halves."""
         rest, moved = self.head.landmark_points(), self.head.landmark_points(state.parameters)
@@ -215,7 +152,8 @@ class Runner:
         }
 
     def _write_tissue(self, state: State, path: Path) -> None:
-        head = self.head if self._on_half(state) else self.head.whole
+        half = self.face.problem(state) is self.face.half
+        head = self.head if half else self.head.whole
         volume = tessellate(head.tissue, _VTU_DIVISIONS)
         at = volume.elements, volume.xi
         gradient = state.deformation_gradient(*at)
@@ -233,7 +171,3 @@ class Runner:
                 "pressure": volume.average(state.pressure_at(*at)),
             },
         )
-
-
-def _on_both(activations: Mapping[str, float]) -> dict[str, float]:
-    return {f"{name}_{side}": a for name, a in activations.items() for side in ("left", "right")}

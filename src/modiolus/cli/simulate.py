@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modiolus.cli.run import Runner
     from modiolus.face.expression import Expression
     from modiolus.face.head import Head
-    from modiolus.mechanics import LoadNotReached
+    from modiolus.mechanics import LoadNotReached, State
     from modiolus.scans.result import Result
 
 
@@ -105,8 +105,9 @@ def simulate(
 
         runner = Runner(chosen, quiet, head)
         title = f"{wanted.title or wanted.name}, {palsy} side palsied" if palsy else wanted.title
+        begin = None if earlier is None else _begin(runner, earlier, start)
         try:
-            state = runner.solve(wanted.name, activations, jaw, earlier)
+            state = runner.solve(wanted.name, activations, jaw, begin)
         except LoadNotReached as error:
             if error.reached == 0.0:
                 raise
@@ -131,6 +132,16 @@ def _earlier(folder: str, name: str, head: Head) -> Result:
             f"name another folder, or the head with --head"
         )
     return found
+
+
+def _begin(runner: Runner, earlier: Result, folder: str) -> State:
+    """Return an earlier result as the state to begin at."""
+    try:
+        return runner.face.state(
+            earlier.parameters, earlier.pressure, earlier.activations, earlier.jaw
+        )
+    except InputError as error:
+        raise InputError(f"--from {folder}: {error}") from None
 
 
 def _stopped(

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..errors import InputError
+from ..face.expression import Expression, resolve
 from ..face.head import Head
-from ..face.jaw import FOLLOWERS, Jaw
+from ..face.jaw import FOLLOWERS, Jaw, opening
 from ..face.refine import at_gauss
 from ..face.tissue import Side
 from .constraints import clamp, symmetry_plane
 from .contact import RigidContact, SurfaceContact, face_points
+from .continuation import Continuation
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
-from .problem import GAUSS, Problem
+from .problem import GAUSS, Problem, State
 from .terms import FibreQuadrature, Fibres, Load, PointTerm, Springs
 
 
@@ -72,6 +75,151 @@ ROUNDING = 1.0
 #: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
 #: lips and cheeks from the bone.
 VESTIBULE = 6.0
+
+
+class Face:
+    """A head that its muscles move.
+
+    Parameters
+    ----------
+    head : Head or str
+        The half, or the name or folder of one.
+    settings : FaceSettings, optional
+
+    Examples
+    --------
+    >>> state = Face("taro").express("smile-open")  # doctest: +SKIP
+    """
+
+    def __init__(self, head: Head | str = "taro", settings: FaceSettings | None = None) -> None:
+        self.head = head if isinstance(head, Head) else Head.load(head)
+        self.settings = FaceSettings() if settings is None else settings
+
+    @cached_property
+    def half(self) -> Problem:
+        """The problem of one side, which is that of both when they do the same."""
+        return face_problem(self.head, self.settings)
+
+    @cached_property
+    def whole(self) -> Problem:
+        """The problem of both sides."""
+        return face_problem(self.head.whole, self.settings)
+
+    def problem(self, state: State) -> Problem:
+        """Return the problem that a state solves, `half` or `whole`."""
+        return self.half if self._is_half(state) else self.whole
+
+    def express(
+        self,
+        expression: Expression | str,
+        start: State | None = None,
+        report: Callable[[float, str], None] | None = None,
+    ) -> State:
+        """Follow the face to an expression, or to that of a name or a TOML file; see `solve`."""
+        wanted = Expression.named(expression) if isinstance(expression, str) else expression
+        return self.solve(wanted.activations, opening(wanted.jaw_open), start, report)
+
+    def solve(
+        self,
+        activations: Mapping[str, float],
+        jaw_open: float = 0.0,
+        start: State | None = None,
+        report: Callable[[float, str], None] | None = None,
+    ) -> State:
+        """Follow the face to a load: one side of it when both do the same, or else both.
+
+        Parameters
+        ----------
+        activations : mapping of str to float
+            0..1 by muscle or group of muscles, with ``_left`` or ``_right`` for one side.
+        jaw_open : float
+            Angle in radians.
+        start : State, optional
+            Where to begin; rest by default. From a state of both sides the way stays on both.
+        report : callable, optional
+            Told the share that is done and what goes on.
+
+        Raises
+        ------
+        InputError
+            If a muscle is not known, an activation is not within 0..1, or the head has no jaw.
+        LoadNotReached
+            The computation stopped on the way; it has the last state.
+        """
+        wanted = resolve(activations, self.head.muscles)
+        if set(wanted) <= set(self.head.muscles) and (start is None or self._is_half(start)):
+            problem, head = self.half, self.head
+        else:
+            problem, head, wanted = self.whole, self.head.whole, self._sided(wanted)
+            if start is not None and self._is_half(start):
+                start = self.state(
+                    start.parameters, start.pressure, start.activations, start.load.jaw, both=True
+                )
+        load = face_load(problem, head, wanted, jaw_open)
+        return Continuation(problem, start, report=report).run(load)
+
+    def state(
+        self,
+        parameters: Array,
+        pressure: Array,
+        activations: Mapping[str, float],
+        jaw: float = 0.0,
+        both: bool = False,
+    ) -> State:
+        """Return a state that was computed earlier.
+
+        Parameters
+        ----------
+        parameters : (n_params, 3) array
+            Of the tissue of the half, or of both sides (mm).
+        pressure : (n_vertices,) array
+            In kPa.
+        activations : mapping of str to float
+            By muscle.
+        jaw : float
+            Angle in radians by which the jaw is open.
+        both : bool
+            Whether to return both sides also of a state of one.
+
+        Raises
+        ------
+        InputError
+            The arrays do not fit the head.
+        """
+        on_half = len(parameters) == self.head.tissue.n_params
+        if on_half and not both:
+            problem, head = self.half, self.head
+        else:
+            problem, head = self.whole, self.head.whole
+        rest = problem.rest()
+        if both and on_half:
+            parameters = self.head.both.whole(parameters)
+            corners = self.head.tissue.corner_nodes()[0]
+            # The image of a corner lies at the other end of xi1.
+            corners = np.vstack([corners, corners[:, np.arange(8) ^ 1]])
+            if len(pressure) == corners.max() + 1:
+                doubled = np.empty(len(rest.pressure))
+                doubled[rest.vertices] = pressure[corners]
+                pressure = doubled
+        if parameters.shape != rest.parameters.shape or pressure.shape != rest.pressure.shape:
+            raise InputError("state: its arrays do not fit the head; simulate it anew")
+        if head is not self.head:
+            activations = self._sided(activations)
+        load = face_load(problem, head, activations, jaw)
+        return replace(rest, parameters=parameters, pressure=pressure, load=load)
+
+    def _is_half(self, state: State) -> bool:
+        return len(state.parameters) == self.head.tissue.n_params
+
+    def _sided(self, activations: Mapping[str, float]) -> dict[str, float]:
+        """Return activations by muscle and side."""
+        return {
+            muscle: value
+            for name, value in activations.items()
+            for muscle in (
+                (f"{name}_left", f"{name}_right") if name in self.head.muscles else (name,)
+            )
+        }
 
 
 def face_problem(
