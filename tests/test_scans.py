@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,14 @@ from modiolus.mechanics import (
 from modiolus.scans import read_scan
 from modiolus.scans.align import align_to_neutral, place, read_landmarks, register_scan
 from modiolus.scans.compare import compare, figures
-from modiolus.scans.identify import _certainty, _Matches, _Point, muscle_set
+from modiolus.scans.identify import (
+    _certainty,
+    _Matches,
+    _Point,
+    _slopes,
+    _Target,
+    muscle_set,
+)
 from modiolus.scans.result import STATE_FILE, load_result, save_state
 from modiolus.scans.scan import Scan
 from modiolus.scans.skin import REGIONS, Skin
@@ -421,6 +429,42 @@ def test_sensitivities_agree_with_finite_differences():
             ends.append(trial.run(problem.load({**base, name: base[name] + step})).parameters)
         slope = (ends[0] - ends[1]) / 2e-5
         assert np.abs(slope - found[:, :, k]).max() < 1e-6 * size
+
+
+def test_the_gradient_of_the_distances_agrees_with_finite_differences(head, skin):
+    from modiolus.mechanics.face import face_problem
+
+    names = ["zygomaticus_major", "frontalis_lateral"]
+    problem = face_problem(head)
+    continuation = Continuation(problem)
+    change = continuation.sensitivities(names)
+    rest = head.tissue.parameters
+    surface = skin.surface(rest)
+    bump = 0.2 * np.sin(0.2 * surface.vertices[:, :1]) * surface.vertex_normals
+    neutral = scan_of(Surface(surface.vertices + bump, surface.faces, "neutral"))
+    smile = skin.surface(rest + 0.1 * change[:, :, 0]).vertices
+    target = _Target(skin, scan_of(Surface(smile + bump, surface.faces, "smile")), neutral)
+    state = replace(continuation.state, parameters=rest + 0.04 * change.sum(axis=2))
+    pose = Registration(1.0, np.eye(3), np.zeros(3))
+    target.renew(state.parameters, pose)
+    point = _Point(np.full(2, 0.04), pose, state, target, np.ones(2), np.ones(2))
+    weight, residual = point.matches.weight, point.matches.residual
+    continuation.sensitivities = lambda muscles: change
+    slopes = _slopes(continuation, target, point, names)[:, :2]
+    step = 1e-6
+    for k in range(2):
+        ends = [
+            target.matches(state.parameters + h * change[:, :, k], pose).residual
+            for h in (step, -step)
+        ]
+        assert len(ends[0]) == len(ends[1]) == len(residual)
+        # Where the closest point jumps, as across a slit, there is no derivative.
+        found = (ends[0] - ends[1]) / (2.0 * step)
+        smooth = np.abs(ends[0] + ends[1] - 2.0 * residual) < 1e-9
+        assert smooth.mean() > 0.99
+        gradient = 2.0 * (weight * residual * slopes[:, k])[smooth].sum()
+        assert 2.0 * (weight * residual * found)[smooth].sum() == pytest.approx(gradient, rel=1e-6)
+        assert abs(gradient) > 1e-3
 
 
 def test_certainty_names_muscles_that_do_the_same():

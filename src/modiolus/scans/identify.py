@@ -73,7 +73,7 @@ _SMALL_STEP, _SMALL_GAIN = 0.01, 2e-3
 #: that pose came from a neutral scan. Were it free, it would take over motion of the skin.
 _POSE_COST, _KNOWN_POSE_COST = 0.1, 1.0
 #: Nearer than this (mm) a distance has no direction but the normal.
-_TOUCHING = 0.05
+_TOUCHING = 1e-5
 #: Two muscles whose estimates correlate more than this can hardly be told apart.
 _CORRELATED = 0.8
 #: An activation that is known no better than this (of its scale) is not identifiable.
@@ -149,7 +149,7 @@ class _Target:
         In the head's frame.
     neutral : Scan or None
         What lies between it and the skin at rest is shape, which no muscle explains: it is
-        carried along with the skin.
+        carried along with the skin, to where the scan was matched by the last `renew`.
     """
 
     def __init__(self, skin: Skin, scan: Scan, neutral: Scan | None) -> None:
@@ -168,6 +168,8 @@ class _Target:
         self.own = skin.state(rest).feet(samples)
         self.known_pose = neutral is not None
         self._shape = None if neutral is None else self._shape_of(neutral)
+        self._own_left = self.shape_at(self.own)
+        self._left = np.zeros(count)
 
     def _shape_of(self, neutral: Scan) -> tuple[cKDTree, Array]:
         """Return points of the skin at rest and the distance of the neutral scan there."""
@@ -190,6 +192,16 @@ class _Target:
         share = 1.0 / np.maximum(distance, 0.05)
         return np.asarray((share * gaps[near]).sum(axis=1) / share.sum(axis=1))
 
+    def renew(self, parameters: Array, pose: Registration) -> None:
+        """Take what the shape at rest leaves at the points of the scan from this state on.
+
+        Between two calls it stands still, so that the distances have exact derivatives.
+        """
+        feet = self.skin.state(parameters).feet(
+            pose.apply(self.points), self.normals @ pose.rotation.T
+        )
+        self._left = self.shape_at(feet)
+
     def matches(self, parameters: Array, pose: Registration) -> _Matches:
         """Match scan and skin both ways, in a state and a pose."""
         skin = self.skin
@@ -198,7 +210,7 @@ class _Target:
         seen = feet.covered
         first = Feet(*(getattr(feet, name)[seen] for name in feet.__dataclass_fields__))
         gap, along = _distances(points[seen] - first.points, first.normals)
-        gap -= self.shape_at(first)
+        gap -= self._left[seen]
 
         # The other way: material points of the skin that have a counterpart on the scan.
         places = skin.places(self.own, parameters)
@@ -209,7 +221,7 @@ class _Target:
         good &= (outward * facing).sum(axis=1) > 0.5
         second = Feet(*(getattr(self.own, name)[good] for name in feet.__dataclass_fields__))
         other, across = _distances((near - places)[good], outward[good])
-        other -= self.shape_at(second)
+        other -= self._own_left[good]
 
         joined = Feet(
             *(
@@ -325,6 +337,7 @@ def identify(
     solves = 0
     history: list[float] = []
     radius = _FIRST_STEP
+    target.renew(continuation.state.parameters, pose)
     reached = _Point(values, pose, continuation.state, target, scales, cost)
     for iteration in range(iterations):
         history.append(reached.rms)
@@ -355,7 +368,8 @@ def identify(
             )
             gain = reached.energy(reached.mean) - trial.energy(reached.mean)
             if gain > 0.0:
-                reached = trial
+                target.renew(trial.state.parameters, trial.pose)
+                reached = _Point(values, trial.pose, trial.state, target, scales, cost)
                 radius = min(_LARGEST_STEP, 1.6 * radius)
                 break
             continuation = Continuation(problem, kept, settings=settings)
