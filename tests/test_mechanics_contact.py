@@ -38,10 +38,12 @@ def upper_part(mesh, upper):
     return np.unique(mesh.extraction[rows.ravel()].indices)
 
 
+@pytest.mark.parametrize("flanked", [False, True])
 @pytest.mark.parametrize("gap", [0.3, 1e-4])
-def test_force_and_tangent_match_finite_differences(gap):
+def test_force_and_tangent_match_finite_differences(gap, flanked):
     mesh, upper, lower = stacked(gap)
-    contact = SurfaceContact(mesh, upper, lower, stiffness=50.0)
+    flanks = ((), [(lower[0][1::2], 0, 1)] if flanked else ())
+    contact = SurfaceContact(mesh, upper, lower, stiffness=50.0, flanks=flanks)
     problem = Problem(mesh, [2.0, 0.5, 0.0], terms=[contact])
     state = problem.rest()
     moved = bent(mesh)
@@ -107,6 +109,46 @@ def test_points_that_slide_out_are_let_go():
         energies.append(problem.evaluate(moved, pressure, Load()).energies["surface contact"])
     assert energies[0] == pytest.approx(0.5 * 20 * 0.4**2 * 15 * 14)
     assert energies[0] > energies[1] > energies[2] > 0.0
+
+
+def over_an_edge(shift):
+    """Energy and overlap of a block moved by ``shift`` over a block whose side to +x is a flank."""
+    below, above = (
+        block((1, 1, 1), (0, 0, -6), (20, 16, 0)),
+        block((1, 1, 1), (0, 1, 0), (20, 15, 6)),
+    )
+    mesh, one, other = joined(below, above), np.array([1]), np.array([0])
+    flanks = [(one, 0, 0)], [(other, 0, 1)]
+    contact = SurfaceContact(mesh, (one, 2, 0), (other, 2, 1), 20.0, 0.0, flanks=flanks)
+    problem = Problem(mesh, [2.0, 0.0, 0.0], terms=[contact])
+    moved = mesh.parameters.copy()
+    moved[upper_part(mesh, (one, 2, 0))[::8]] += shift
+    problem.update(moved)
+    found = problem.evaluate(moved, problem.rest().pressure, Load())
+    return found.energies["surface contact"], contact.penetration(moved)
+
+
+def test_a_body_before_another_meets_its_flank():
+    # 2 mm below the other's top: its edge, a column of Gauss-Lobatto points, is pushed sideways.
+    edge = 20 * 14 / 20.0
+    energy, overlap = over_an_edge([19.9, 0.0, -2.0])
+    assert energy == pytest.approx(0.5 * 20 * 0.1**2 * edge)
+    assert overlap == pytest.approx(0.1)
+    assert over_an_edge([19.95, 0.0, -2.0])[0] == pytest.approx(0.25 * energy)
+    assert over_an_edge([19.9, 0.0, -2.1])[0] == pytest.approx(energy)
+    assert over_an_edge([20.1, 0.0, -2.0]) == (0.0, 0.0)
+
+
+def test_what_hangs_out_over_a_flank_is_not_held():
+    # Of five columns of points two are beyond the edge.
+    share = 1 / 20 + 49 / 180 + 16 / 45
+    energy, overlap = over_an_edge([9.0, 0.0, -0.05])
+    assert energy == pytest.approx(0.5 * 20 * 0.05**2 * 20 * 14 * share)
+    assert overlap == pytest.approx(0.05)
+
+
+def test_overlap_counts_what_lies_deep_inside():
+    assert over_an_edge([5.0, 0.0, -4.5])[1] == pytest.approx(4.5)
 
 
 def test_far_surfaces_cost_nothing_and_do_not_meet():

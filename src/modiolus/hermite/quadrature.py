@@ -27,7 +27,35 @@ def gauss(dim: int, n: int) -> tuple[Array, Array]:
     """
     if dim < 1 or n < 1:
         raise InputError(f"rule: {n} points a direction in {dim}; give at least one of each")
-    nodes, weights = np.polynomial.legendre.leggauss(n)
+    return _tensor(dim, *np.polynomial.legendre.leggauss(n))
+
+
+def lobatto(dim: int, n: int) -> tuple[Array, Array]:
+    """Return the tensor Gauss-Lobatto rule with ``n`` points a direction on [0, 1]^dim.
+
+    It has points on the borders and is exact up to the power ``2 n - 3``.
+
+    Returns
+    -------
+    xi : (n**dim, dim) array
+        Points; the first coordinate runs fastest.
+    weights : (n**dim,) array
+        Weights, which sum to 1.
+
+    Raises
+    ------
+    InputError
+        There are fewer than two points a direction or no direction.
+    """
+    if dim < 1 or n < 2:
+        raise InputError(f"rule: {n} points a direction in {dim}; give two of one at least")
+    last = np.polynomial.Legendre.basis(n - 1)
+    nodes = np.concatenate([[-1.0], np.sort(last.deriv().roots().real), [1.0]])
+    return _tensor(dim, nodes, 2.0 / (n * (n - 1) * last(nodes) ** 2))
+
+
+def _tensor(dim: int, nodes: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the tensor rule on [0, 1]^dim of a rule on [-1, 1]."""
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
     grids = np.meshgrid(*[nodes] * dim, indexing="ij")
     factors = np.meshgrid(*[weights] * dim, indexing="ij")

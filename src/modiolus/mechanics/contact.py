@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -10,18 +10,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..hermite import HermiteMesh
+from ..hermite import HermiteMesh, gauss, lobatto
 from .assembly import Pattern
-from .facing import Facing, Pairs, Patches
+from .facing import Facing, Immersion, Pairs, Patches, Side
 from .laws import PAIRS, Array
 from .terms import IntArray, Load, PointTerm, Response, by_host
-
-#: Elements, axis and side: a surface of the mesh, see `HermiteMesh.face`.
-Side = tuple[IntArray, int, int]
-
-
-#: Widths of a patch beyond the master's border at which a point is let go.
-FADE = 0.5
 
 
 class SignedDistance(Protocol):
@@ -177,8 +170,12 @@ class SurfaceContact(PointTerm):
         Depth in mm over which the stiffness grows to ε.
     points : (patches (n,), xi (n, 2), areas (n,)), optional
         Points of the slave, as indices into its elements and coordinates on their side;
-        4 x 4 Gauss points by default. `segments` makes those that integrate the pressure
-        exactly between meshes that do not match.
+        by default 4 x 4 Gauss points or, with flanks, 5 x 5 Gauss-Lobatto points. `segments`
+        makes those that integrate the pressure exactly between meshes that do not match.
+    flanks : pair of sequences of (elements, axis, side), optional
+        Other sides of the elements of slave and master. Those of the master end its body: points
+        before them are outside it, and `update` chooses where a point is pushed out. Those of
+        the slave are watched for overlap, not pushed. Without flanks the body has no end.
     name : str
 
     Attributes
@@ -199,52 +196,42 @@ class SurfaceContact(PointTerm):
         stiffness: float = 100.0,
         onset: float = 0.1,
         points: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None,
+        flanks: tuple[Sequence[Side], Sequence[Side]] = ((), ()),
         name: str = "surface contact",
     ) -> None:
         super().__init__(name, sp.csr_matrix((0, mesh.n_params)), [])
         if not stiffness >= 0.0:
             raise InputError(f"{name}: stiffness {stiffness} is not a number from 0 up; mend it")
-        first, second = Patches.of(mesh, *slave), Patches.of(mesh, *master)
+        first, second = Patches.of(mesh, slave), Patches.of(mesh, master, *flanks[1])
         if points is None:
-            rule = first.surface.quadrature(4)
-            points = rule.elements, rule.xi, rule.weights
+            # The edges of a body that has flanks are what may cut into another.
+            points = first.points(*(lobatto(2, 5) if flanks[1] else gauss(2, 4)))
         self.onset = onset
         self.areas = np.asarray(points[2], dtype=float)
         self.stiffness = stiffness * self.areas
         self._facing = Facing(first, second, points[0], points[1])
         self._pairs = Pairs(self._facing)
         self._order = np.empty(0, dtype=np.int64)
-        self._hold = np.ones(len(self.areas))
-        ticks = np.linspace(0.0, 1.0, 7)
-        cell = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._checks = [
-            Facing(
-                one,
-                other,
-                np.repeat(np.arange(one.surface.n_elements), len(cell)),
-                np.tile(cell, (one.surface.n_elements, 1)),
-            )
-            for one, other in ((first, second), (second, first))
-        ]
+        self._sign = np.empty(0)
+        self._immersion = Immersion(mesh, [slave, *flanks[0]], [master, *flanks[1]])
 
     def pattern(self) -> Pattern:
         """Return the pattern of the pairs of patches that may meet."""
         return self._pairs.pattern
 
     def update(self, parameters: Array) -> None:
-        """Let points that have slid out over the master's border go.
+        """Choose what pushes each point out of the master, and let go those that slid off it.
 
-        Their share of the stiffness falls to none at `FADE`. It stands still within a load step:
-        beyond the border the master is only its tangent plane, on which lips would turn each other.
+        Both stand still within a load step: beyond its border the master is only its tangent
+        plane, on which lips would turn each other, and points at an edge would come and go.
         """
-        found = self._facing.project(parameters)
-        outside = np.where(found.host >= 0, found.outside, 0.0)
-        self._hold = np.maximum(1.0 - outside / FADE, 0.0)
+        self._facing.settle(parameters)
 
     def follow(self, parameters: Array) -> tuple[Array, IntArray]:
         """Project the points anew and return their functionals."""
         found = self._facing.project(parameters)
         functions, starts, self._order = self._pairs.functionals(found)
+        self._sign = self._facing.master.sign[found.host[self._order]]
         return functions, starts
 
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
@@ -256,10 +243,10 @@ class SurfaceContact(PointTerm):
         ``Δδg = -b·Δξ - Δb·δξ - δξ·κΔξ + g (b + κδξ)·a⁻¹(Δb + κΔξ)`` with ``b = n · δτ``.
         """
         n_points = len(vectors)
-        stiffness = (self._hold * self.stiffness)[self._order]
+        stiffness = (self._facing.share * self.stiffness)[self._order]
         least = self._facing.least[self._order]
         w, tangents = vectors[:, 0], vectors[:, 1:3]
-        normal = self._facing.master.sign * np.cross(tangents[:, 0], tangents[:, 1])
+        normal = self._sign[:, None] * np.cross(tangents[:, 0], tangents[:, 1])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         gap = (w * normal).sum(axis=1)
         depth = least - gap
@@ -292,14 +279,17 @@ class SurfaceContact(PointTerm):
     def pressure(self, parameters: Array, load: Load) -> tuple[Array, Array]:
         """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
         slope = penalty(self.augmented(parameters, load), self.onset)[1]
-        return self._facing.points(parameters), self._hold * self.stiffness * slope / self.areas
+        return self._facing.points(
+            parameters
+        ), self._facing.share * self.stiffness * slope / self.areas
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
-        """Return the greatest overlap beyond that at rest in mm, of either surface.
+        """Return how deep the slave is inside the master's elements beyond that at rest, in mm.
 
-        Samples of both surfaces, borders included, are projected onto the other.
+        Samples of the slave and its flanks, borders included, are located in the master's
+        elements, wherever they have gone; their depth is the distance to its boundary.
         """
-        return max(float(check.overlap(parameters).max(initial=0.0)) for check in self._checks)
+        return float(self._immersion.depth(parameters).max(initial=0.0))
 
 
 def bent(gap: Array, normal: Array, tangents: Array, curvature: Array) -> Array:

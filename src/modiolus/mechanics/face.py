@@ -63,8 +63,9 @@ class FaceSettings:
 
 #: Thickness of the skin (mm): its dermis has 0.8 to 2.0 mm in the face.
 DERMIS = 1.5
-#: Deep structures that the tissue keeps to when it is pulled away: bone under thin tissue.
-SLIDING = ("skull", "mandible")
+#: Deep structures that the tissue keeps to when it is pulled away: bone under thin tissue, and the
+#: eyeball, to which the tears hold the lids.
+SLIDING = ("skull", "mandible", "eyeball")
 #: Teeth and gums touch the tissue as one arch each, whose cusps and clefts are rounded (mm):
 #: soft tissue bridges the clefts, and sharp cusps would catch on a mesh coarser than they are.
 ARCHES: dict[str, tuple[str, ...]] = {
@@ -451,12 +452,24 @@ def _motion(jaw: Jaw | None, share: float) -> Callable[[Load], tuple[Array, Arra
 
 
 def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[SurfaceContact]:
-    """Put the upper against the lower lip and lid."""
+    """Put the upper against the lower lip and lid, and the lower against the upper."""
     for part in ("lip", "lid"):
-        yield SurfaceContact(
-            head.tissue,
-            head.sides[f"{part}_upper"],
-            head.sides[f"{part}_lower"],
-            settings.contact,
-            name=f"contact of the {part}s",
-        )
+        margins = {which: head.sides[f"{part}_{which}"] for which in ("upper", "lower")}
+        flanks = {which: _flanks(head, side[0]) for which, side in margins.items()}
+        for which, other in (("upper", "lower"), ("lower", "upper")):
+            yield SurfaceContact(
+                head.tissue,
+                margins[which],
+                margins[other],
+                0.5 * settings.contact,
+                flanks=(flanks[which], flanks[other]),
+                name=f"contact of the {which} {part}",
+            )
+
+
+def _flanks(head: Head, elements: NDArray[np.int64]) -> list[Side]:
+    """Return the skin of some elements and their side towards the mouth or the eye."""
+    return [
+        (np.intersect1d(elements, every), axis, side)
+        for every, axis, side in (head.sides["outer"], head.sides["inner"])
+    ]

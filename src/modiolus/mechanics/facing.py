@@ -4,12 +4,17 @@ A side of an element is a bicubic Hermite patch of 16 local functions. Points of
 patches, the slave, are projected onto another, the master: samples of the master's patches
 find the one to begin with, Newton's method its closest point. Where that lies beyond the
 border of the patch, the neighbours are asked; beyond the border of the whole surface the
-patch goes on straight for its own width, so that a lip that slides out over the other one's
-edge is still held.
+patch goes on straight for its own width.
+
+The body behind a master may end at flanks as well, as a lip does at the skin and at the mouth.
+A point is inside it when it lies below the master and below all of its flanks. Which of them
+pushes it out again is decided once a load step, by where it then is: a lip that slides out over
+the edge of the other is let go there, and one that lies before the other meets its flank.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +28,8 @@ from .assembly import Pattern
 from .laws import Array
 
 IntArray = NDArray[np.int64]
+#: Elements, axis and side: a surface of the mesh, see `HermiteMesh.face`.
+Side = tuple[IntArray, int, int]
 
 #: Samples a direction of a master patch that decide where a search begins.
 SAMPLES = 4
@@ -32,6 +39,14 @@ BEYOND = 1.0
 DEEPEST = 3.0
 #: The same beyond the master's border, where its tangent plane soon cuts through anything.
 SHALLOW = 0.5
+#: Points farther than this (mm) from the master are not followed.
+FREE = 0.5
+#: Overlap (mm) up to which a point that begins a load step inside a body belongs to a side of it.
+SETTLED = 1.0
+#: Distance (mm) from the edge to a flank over which points are let go that slide out there.
+EDGE = 0.15
+#: Widths of a patch beyond the border of a surface at which they are.
+FADE = 0.5
 
 
 @njit(cache=True)
@@ -129,6 +144,7 @@ def project(
     patches: Any,
     extraction: Any,
     sign: Any,
+    part: Any,
     points: Any,
     candidates: Any,
     beyond: Any,
@@ -146,19 +162,22 @@ def project(
         Global parameters of each patch.
     extraction : (f, 16, m) array
         Local parameters of a patch from its global ones.
-    sign : float
+    sign : (f,) array
         1 where the cross product of a patch's tangents points out of the body, else -1.
+    part : (f,) int array
+        0 for patches of the master itself, then the number of their flank.
     points : (n, 3) array
     candidates : (n, c) int array
         Patches that may meet a point, padded with -1.
     beyond : float
         How far outside [0, 1] a local coordinate may lie.
-    host : (n,) int array, written
-        Patch, or -1 where none faces the point.
-    xi : (n, 2) array, written
-    gap : (n,) array, written
-        Signed distance along the master's outward normal in mm.
-    outside : (n,) array, written
+    host : (n, parts) int array, written
+        Patch, or -1 where none faces the point. The flanks are asked only where the master
+        itself is not farther than `FREE`.
+    xi : (n, parts, 2) array, written
+    gap : (n, parts) array, written
+        Signed distance along the outward normal in mm.
+    outside : (n, parts) array, written
         How far the projection lies outside its patch, in local coordinates.
     """
     n_patches, m = patches.shape
@@ -185,69 +204,72 @@ def project(
         size[f] = np.sqrt(size[f])
     values = np.empty((6, 3))
     trial = np.empty(2)
+    found = np.empty(2)
     seed = np.empty((n_patches, 2))
     nearest = np.empty(n_patches)
+    host[:] = -1
+    gap[:] = np.inf
+    outside[:] = np.inf
     for p in range(len(points)):
-        host[p] = -1
-        outside[p] = np.inf
-        gap[p] = np.inf
-        close = False
-        for c in range(candidates.shape[1]):
-            f = candidates[p, c]
-            if f < 0:
-                break
-            nearest[f] = np.inf
-            for q in range(SAMPLES * SAMPLES):
-                d = 0.0
-                for i in range(3):
-                    d += (points[p, i] - samples[f, q, i]) ** 2
-                if d < nearest[f]:
-                    nearest[f] = d
-                    seed[f, 0] = (q % SAMPLES + 0.5) / SAMPLES
-                    seed[f, 1] = (q // SAMPLES + 0.5) / SAMPLES
-            close = close or nearest[f] < (size[f] + DEEPEST) ** 2
-        if not close:
-            continue
-        # The patches in the order of their nearest sample, until one holds the projection.
-        best_distance = np.inf
-        for _ in range(candidates.shape[1]):
-            chosen = -1
+        for side in range(host.shape[1]):
+            close = False
             for c in range(candidates.shape[1]):
                 f = candidates[p, c]
-                if f >= 0 and nearest[f] < np.inf and (chosen < 0 or nearest[f] < nearest[chosen]):
-                    chosen = f
-            if chosen < 0:
-                break
-            nearest[chosen] = np.inf
-            trial[:] = seed[chosen]
-            if not closest_of(local[chosen], points[p], trial, functions, values):
-                continue
-            over = max(max(-trial[0], trial[0] - 1.0), max(-trial[1], trial[1] - 1.0), 0.0)
-            if over > beyond:
-                continue
-            n0 = values[1, 1] * values[2, 2] - values[1, 2] * values[2, 1]
-            n1 = values[1, 2] * values[2, 0] - values[1, 0] * values[2, 2]
-            n2 = values[1, 0] * values[2, 1] - values[1, 1] * values[2, 0]
-            length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            g = (
-                sign
-                / length
-                * (
-                    n0 * (points[p, 0] - values[0, 0])
-                    + n1 * (points[p, 1] - values[0, 1])
-                    + n2 * (points[p, 2] - values[0, 2])
-                )
-            )
-            if over < outside[p] - 1e-9 or (over <= 1e-9 and abs(g) < best_distance):
-                host[p] = chosen
-                xi[p] = trial
-                gap[p] = g
-                outside[p] = over
-                best_distance = abs(g)
-                if over <= 1e-9:
+                if f < 0 or part[f] != side:
+                    continue
+                nearest[f] = np.inf
+                for q in range(SAMPLES * SAMPLES):
+                    d = 0.0
+                    for i in range(3):
+                        d += (points[p, i] - samples[f, q, i]) ** 2
+                    if d < nearest[f]:
+                        nearest[f] = d
+                        seed[f, 0] = (q % SAMPLES + 0.5) / SAMPLES
+                        seed[f, 1] = (q // SAMPLES + 0.5) / SAMPLES
+                close = close or nearest[f] < (size[f] + DEEPEST) ** 2
+            # The patches in the order of their nearest sample, until one holds the projection.
+            patch = -1
+            least = over = np.inf
+            for _ in range(candidates.shape[1] if close else 0):
+                chosen = -1
+                for c in range(candidates.shape[1]):
+                    f = candidates[p, c]
+                    if f < 0 or part[f] != side or nearest[f] == np.inf:
+                        continue
+                    if chosen < 0 or nearest[f] < nearest[chosen]:
+                        chosen = f
+                if chosen < 0:
                     break
-        if gap[p] < -(DEEPEST if outside[p] <= 1e-9 else SHALLOW):
-            host[p] = -1
+                nearest[chosen] = np.inf
+                trial[:] = seed[chosen]
+                if not closest_of(local[chosen], points[p], trial, functions, values):
+                    continue
+                out = max(max(-trial[0], trial[0] - 1.0), max(-trial[1], trial[1] - 1.0), 0.0)
+                if out > beyond:
+                    continue
+                n0 = values[1, 1] * values[2, 2] - values[1, 2] * values[2, 1]
+                n1 = values[1, 2] * values[2, 0] - values[1, 0] * values[2, 2]
+                n2 = values[1, 0] * values[2, 1] - values[1, 1] * values[2, 0]
+                length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+                g = (
+                    sign[chosen]
+                    / length
+                    * (
+                        n0 * (points[p, 0] - values[0, 0])
+                        + n1 * (points[p, 1] - values[0, 1])
+                        + n2 * (points[p, 2] - values[0, 2])
+                    )
+                )
+                if out < over - 1e-9 or (out <= 1e-9 and abs(g) < abs(least)):
+                    patch, least, over = chosen, g, out
+                    found[:] = trial
+                    if out <= 1e-9:
+                        break
+            if patch >= 0 and least > -(DEEPEST if over <= 1e-9 else SHALLOW):
+                host[p, side], gap[p, side], outside[p, side] = patch, least, over
+                xi[p, side] = found
+            if gap[p, 0] > FREE:
+                break
 
 
 @njit(cache=True)
@@ -303,8 +325,10 @@ class Patches:
     ----------
     surface : HermiteMesh
         The sides, of dimension 2.
-    sign : float
+    sign : (f,) array
         1 where the cross product of the tangents points out of the body, else -1.
+    part : (f,) int array
+        0 for the first of the sides, and so on.
     pattern : Pattern
         Global parameters of each patch.
     extraction : (f, 16, m) array
@@ -312,20 +336,40 @@ class Patches:
     """
 
     surface: HermiteMesh
-    sign: float
+    sign: Array
+    part: IntArray
     pattern: Pattern
     extraction: Array
 
     @classmethod
-    def of(cls, mesh: HermiteMesh, elements: ArrayLike, axis: int, side: int) -> Patches:
-        """Take one side of some elements of a volume mesh; see `HermiteMesh.face`."""
-        surface = mesh.face(elements, axis, side)
+    def of(cls, mesh: HermiteMesh, *sides: Side) -> Patches:
+        """Take sides of elements of a volume mesh; see `HermiteMesh.face`."""
+        faces = [mesh.face(*side) for side in sides]
+        counts = [face.n_elements for face in faces]
+        extraction = sp.csr_matrix(sp.vstack([face.extraction for face in faces]))
+        surface = HermiteMesh(2, mesh.parameters, extraction)
         hosts = np.repeat(np.arange(surface.n_elements), 16)
-        pattern = Pattern.from_functions(surface.extraction, hosts, surface.n_elements)
-        extraction = pattern.dense(surface.extraction, hosts).reshape(len(pattern.params), 16, -1)
+        pattern = Pattern.from_functions(extraction, hosts, surface.n_elements)
         # The tangents of a face are those of the two other directions in ascending order.
-        outward = (1.0 if side == 1 else -1.0) * (-1.0 if axis == 1 else 1.0)
-        return cls(surface, outward, pattern, extraction)
+        outward = [(1.0 if end else -1.0) * (-1.0 if axis == 1 else 1.0) for _, axis, end in sides]
+        return cls(
+            surface,
+            np.repeat(outward, counts),
+            np.repeat(np.arange(len(sides)), counts),
+            pattern,
+            pattern.dense(extraction, hosts).reshape(len(pattern.params), 16, -1),
+        )
+
+    def points(self, unit: Array, weights: Array) -> tuple[IntArray, Array, Array]:
+        """Return the points of a rule on [0, 1]²: patches (q,), xi (q, 2) and areas (q,) in mm²."""
+        count = self.surface.n_elements
+        patches, xi = np.repeat(np.arange(count), len(unit)), np.tile(unit, (count, 1))
+        return patches, xi, np.tile(weights, count) * self.stretch(patches, xi)
+
+    def stretch(self, patches: IntArray, xi: Array) -> Array:
+        """Return mm² by unit of local coordinates at points of the patches at rest, (n,)."""
+        tangents = self.surface.jacobian(patches, xi)
+        return np.asarray(np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=1))
 
     def neighbours(self) -> NDArray[np.bool_]:
         """Tell which patches share a corner, (f, f)."""
@@ -414,9 +458,7 @@ def segments(slave: Patches, master: Patches, n: int = 4) -> tuple[IntArray, Arr
                 patches += [e] * len(unit)
     at = np.asarray(patches, dtype=np.int64)
     where = np.concatenate(places) if places else np.empty((0, 2))
-    tangents = slave.surface.jacobian(at, where)
-    stretch = np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=1)
-    return at, where, np.concatenate([*shares, np.empty(0)]) * stretch
+    return at, where, np.concatenate([*shares, np.empty(0)]) * slave.stretch(at, where)
 
 
 def _clipped(polygon: list[Array]) -> list[Array]:
@@ -440,10 +482,15 @@ class Facing:
     Parameters
     ----------
     slave, master : Patches
-        Of one mesh.
+        Of one mesh. Sides of the master but the first are its flanks.
     patches : (n,) int array
         Slave patch of each point.
     xi : (n, 2) array
+
+    Attributes
+    ----------
+    share : (n,) array
+        Of the force on each point, less than 1 beyond the borders of what pushes it.
     """
 
     def __init__(self, slave: Patches, master: Patches, patches: ArrayLike, xi: ArrayLike) -> None:
@@ -451,15 +498,10 @@ class Facing:
         self.patches = np.asarray(patches, dtype=np.int64)
         self.xi = np.asarray(xi, dtype=float)
         self.functions = slave.surface.functions(self.patches, self.xi)
-        # Who may meet whom: the patches found at rest and those around them.
-        everyone = np.tile(np.arange(master.surface.n_elements), (len(self.patches), 1))
-        self._candidates = everyone
+        # Who may meet whom: the patches found at rest and those around them, flanks included.
         rest = slave.surface.parameters
-        points = np.asarray(self.functions @ rest)
-        found = self.project(rest, np.inf).host
-        lost = found < 0
-        if lost.any():
-            found[lost] = master.surface.locate(points[lost]).elements
+        own = HermiteMesh(2, rest, master.surface.extraction[: 16 * int((master.part == 0).sum())])
+        found = own.locate(np.asarray(self.functions @ rest)).elements
         met = np.zeros((slave.surface.n_elements, master.surface.n_elements), dtype=bool)
         met[self.patches, found] = True
         #: Which patches of the master a patch of the slave may meet, (slaves, masters).
@@ -469,25 +511,29 @@ class Facing:
         for row, may in enumerate(self.allowed):
             table[row, : may.sum()] = np.flatnonzero(may)
         self._candidates = np.ascontiguousarray(table[self.patches])
+        self.settle(rest)
         self.least = np.minimum(self.project(rest).gap, 0.0)
 
     def points(self, parameters: Array) -> Array:
         """Return the points of the slave (n, 3)."""
         return np.asarray(self.functions @ parameters)
 
-    def project(self, parameters: Array, beyond: float = BEYOND) -> Projection:
-        """Find the closest point of the master for every point."""
-        n = len(self.patches)
-        out = Projection(np.empty(n, np.int64), np.empty((n, 2)), np.empty(n), np.empty(n))
+    def _all(self, parameters: Array) -> Projection:
+        """Project the points onto every part of the master; arrays are (n, parts)."""
         master = self.master
+        shape = len(self.patches), int(master.part.max()) + 1
+        out = Projection(
+            np.empty(shape, np.int64), np.empty((*shape, 2)), np.empty(shape), np.empty(shape)
+        )
         project(
             parameters,
             master.pattern.params,
             master.extraction,
             master.sign,
+            master.part,
             np.ascontiguousarray(self.points(parameters)),
             self._candidates,
-            beyond,
+            BEYOND,
             out.host,
             out.xi,
             out.gap,
@@ -495,10 +541,75 @@ class Facing:
         )
         return out
 
-    def overlap(self, parameters: Array) -> Array:
-        """Return how much deeper than at rest each point is inside the master's body, (n,)."""
-        found = self.project(parameters, 1e-6)
-        return np.where(found.host >= 0, np.maximum(self.least - found.gap, 0.0), 0.0)
+    def settle(self, parameters: Array) -> None:
+        """Decide which part of the master pushes each point out of its body, and how much.
+
+        It is the master itself for all that lie above it or hardly below, else the flank that
+        they lie before, or are least behind. Points before any other part are outside the body.
+        """
+        found = self._all(parameters)
+        gap = np.where(found.host >= 0, found.gap, -np.inf)
+        self._part = np.where(gap[:, 0] > -SETTLED, 0, np.argmax(gap, axis=1))
+        each = np.arange(len(gap))
+        outside = np.where(found.host >= 0, found.outside, 0.0)[each, self._part]
+        gap[each, self._part] = -np.inf
+        before = np.clip(-gap.max(axis=1) / EDGE, 0.0, 1.0)
+        self.share = before * np.maximum(1.0 - outside / FADE, 0.0)
+
+    def project(self, parameters: Array) -> Projection:
+        """Find the closest point of the part of the master that pushes each point out."""
+        found = self._all(parameters)
+        each = np.arange(len(self.patches))
+        return Projection(*(values[each, self._part] for values in vars(found).values()))
+
+
+class Immersion:
+    """How deep the boundary of one body is inside another.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Of dimension 3.
+    sides : sequence of (elements, axis, side)
+        Boundary of the body that may sink in.
+    around : sequence of (elements, axis, side)
+        Boundary of the other; the first of them names all of its elements.
+    n : int
+        Samples a direction of each side.
+    """
+
+    def __init__(
+        self, mesh: HermiteMesh, sides: Sequence[Side], around: Sequence[Side], n: int = 6
+    ) -> None:
+        ticks = np.linspace(0.0, 1.0, n)
+        cell = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2)
+
+        def samples(surface: HermiteMesh) -> sp.csr_matrix:
+            patches = np.repeat(np.arange(surface.n_elements), len(cell))
+            return surface.functions(patches, np.tile(cell, (surface.n_elements, 1)))
+
+        rows = np.asarray(around[0][0])[:, None] * 64 + np.arange(64)
+        self._body = HermiteMesh(3, mesh.parameters, mesh.extraction[rows.ravel()])
+        self._boundary = Patches.of(mesh, *around).surface
+        self._samples = samples(Patches.of(mesh, *sides).surface)
+        self._corners = samples(self._boundary)
+        self.least = self._depth(mesh.parameters)
+
+    def _depth(self, parameters: Array) -> Array:
+        points = np.asarray(self._samples @ parameters)
+        depth = np.zeros(len(points))
+        box = np.asarray(self._corners @ parameters)
+        near = ((points > box.min(axis=0) - 0.5) & (points < box.max(axis=0) + 0.5)).all(axis=1)
+        if near.any():
+            near[near] = self._body.with_parameters(parameters).locate(points[near]).inside
+        if near.any():
+            place = self._boundary.with_parameters(parameters).locate(points[near])
+            depth[near] = place.distance
+        return depth
+
+    def depth(self, parameters: Array) -> Array:
+        """Return how much deeper than at rest each sample is inside the other body, in mm."""
+        return np.maximum(self._depth(parameters) - self.least, 0.0)
 
 
 class Pairs:

@@ -52,7 +52,7 @@ def even_pressure(fine: bool) -> list[Check]:
         [np.linspace(0.0, 20.0, 3), np.linspace(0.0, 16.0, 4), np.array([-tall, 0.0])],
         [np.linspace(0.0, 20.0, 4), np.linspace(0.0, 16.0, 3), np.array([0.0, tall])],
     )
-    points = segments(Patches.of(mesh, *upper), Patches.of(mesh, *lower))
+    points = segments(Patches.of(mesh, upper), Patches.of(mesh, lower))
     contact = SurfaceContact(mesh, upper, lower, stiffness=200.0, points=points)
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
     for axis, place in ((0, 0.0), (1, 0.0), (2, -tall), (2, tall)):
