@@ -8,6 +8,7 @@ from modiolus import hermite
 from modiolus.errors import InputError, SolveError
 from modiolus.mechanics import (
     Continuation,
+    DeadForces,
     FibreLaw,
     FibreQuadrature,
     Fibres,
@@ -19,6 +20,7 @@ from modiolus.mechanics import (
     clamp,
     face_points,
     solve,
+    symmetry_plane,
 )
 from modiolus.mechanics.beam import bend_beam
 from modiolus.mechanics.kernels import fibre
@@ -112,6 +114,54 @@ def test_small_changes_reuse_the_factors():
     run.run(problem.load({"all": 0.3}))
     state = run.run(problem.load({"all": 0.303}))
     assert state.statistics.factorisations <= 4
+
+
+@pytest.fixture(scope="module")
+def shallow_arch():
+    """Half of a shallow arch, clamped at its end and pressed down at its crown."""
+    x, y, z = np.linspace(0.0, 20.0, 5), np.array([0.0, 4.0]), np.array([0.0, 1.5])
+    corners = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
+    corners[..., 2] += 3.0 * np.cos(np.pi * corners[..., 0] / 40.0) ** 2
+    mesh = hermite.grid(corners)
+    order = mesh.evaluate(np.arange(4), np.full((4, 3), 0.5))[:, 0].argsort()
+    fixed = clamp(mesh, order[-1:], 0, 1) | symmetry_plane(mesh, order[:1], 0, 0)
+    for side in (0, 1):
+        fixed[mesh.face_parameters(np.arange(4), 1, side)[0], 1] = True
+    at = np.array([[0.1, 0.25, 0.5], [0.1, 0.75, 0.5], [0.3, 0.25, 0.5], [0.3, 0.75, 0.5]])
+    push = DeadForces(mesh, np.repeat(order[:1], 4), at, np.tile([0.0, 0.0, -0.25], (4, 1)), "push")
+    problem = Problem(mesh, [2.0, 0.0, 0.0], kappa=200.0, terms=[push], fixed=fixed)
+
+    def sag(state):
+        moved = state.mesh.with_parameters(state.displacement)
+        return -moved.evaluate(order[:1], [[0.0, 0.5, 0.5]])[0, 2]
+
+    return problem, sag
+
+
+def test_an_arch_snaps_through(shallow_arch):
+    problem, sag = shallow_arch
+    seen = []
+    run = Continuation(problem)
+    run.report = lambda fraction, text: seen.append((fraction, sag(run.state)))
+    run.run(Load(forces={"push": 0.3}))
+    # It gives way little at first, then jumps from above the chord to below it.
+    sags = np.array([found for _, found in seen])
+    jump = int(np.argmax(np.diff(sags)))
+    assert sags[jump] < 2.0 and sags[jump + 1] > 4.5
+    assert run.state.statistics.wrong_pivots == 0
+
+
+def test_relaxation_finds_the_equilibrium_beyond_a_jump(shallow_arch):
+    problem, sag = shallow_arch
+    before = Continuation(problem).run(Load(forces={"push": 0.12}))
+    assert sag(before) < 1.5
+    load = Load(forces={"push": 0.25})
+    path = Continuation(problem).run(load)
+    settings = Settings(max_iterations=8, first_step=1.0, least_step=0.5)
+    relaxed = Continuation(problem, before, settings=settings).run(load)
+    assert relaxed.statistics.jumps == 1 and path.statistics.jumps == 0
+    assert sag(path) > 4.5
+    assert sag(relaxed) == pytest.approx(sag(path), abs=5e-3)
 
 
 class Floor:

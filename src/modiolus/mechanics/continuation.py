@@ -45,6 +45,10 @@ class Settings:
         Converged and rejected steps together.
     max_iterations : int
         Factorisations in one step before it is rejected.
+    max_jumps : int
+        How often the tissue may leave a path that ends or turns back for an equilibrium elsewhere.
+    max_relaxations : int
+        Factorisations on the way to it.
     least_ratio : float
         Smallest volume ratio at a Gauss point that a trial may have.
     penetration : float
@@ -63,6 +67,8 @@ class Settings:
     warm_change: float = 0.1
     max_steps: int = 80
     max_iterations: int = 18
+    max_jumps: int = 5
+    max_relaxations: int = 60
     least_ratio: float = 0.05
     penetration: float = 0.04
     augmentations: int = 4
@@ -138,6 +144,7 @@ class Continuation:
         self._diagonal: Array | None = None
         self._factorisations = 0
         self._iterations = 0
+        self._jumps = 0
         self._energies: dict[str, float] = {}
         self._driven: list[str] = []
         self._blamed: list[str] = []
@@ -157,11 +164,17 @@ class Continuation:
             suffers most and what to try.
         """
         began = time.perf_counter()
-        self._factorisations = self._iterations = 0
+        self._factorisations = self._iterations = self._jumps = 0
         start, settings = self.state.load, self.settings
         self._driven = [name for name, value in load.activations.items() if value > 0.0]
         self._blamed = []
         reached, step, steps, fault = 0.0, self._first_step(load), 0, ""
+
+        def goal(target: float) -> tuple[Load, float, float]:
+            if target < 1.0:
+                return start.towards(load, target), settings.passing, math.inf
+            return load, settings.tolerance, self._limit(0)
+
         while reached < 1.0:
             target = min(1.0, reached + step)
             if target > 1.0 - 0.05 * step:
@@ -169,19 +182,22 @@ class Continuation:
             before = self._factorisations
             steps += 1
             try:
-                towards = start.towards(load, target)
-                if target < 1.0:
-                    state = self._advance(towards, settings.passing)
-                else:
-                    state = self._advance(towards, settings.tolerance, self._limit(0))
+                state = self._advance(*goal(target))
             except SolveError as error:
                 step = 0.3 * (target - reached)
                 self._at_hand = False
                 fault = str(error)
-                if step < settings.least_step or steps >= settings.max_steps:
+                if step >= settings.least_step and steps < settings.max_steps:
+                    continue
+                target = min(1.0, reached + settings.first_step)
+                try:
+                    if steps >= settings.max_steps or self._jumps >= settings.max_jumps:
+                        raise
+                    state = self._relax(*goal(target))
+                except SolveError:
                     text = self._account(load, reached, fault, steps)
                     raise LoadNotReached(text, reached, self.state) from None
-                continue
+                self._jumps += 1
             work = max(self._factorisations - before, 1)
             step = (target - reached) * float(np.clip(8.0 / work, 0.7, 2.5))
             reached = target
@@ -240,6 +256,7 @@ class Continuation:
         statistics = replace(
             state.statistics,
             steps=steps,
+            jumps=self._jumps,
             newton_iterations=self._iterations,
             factorisations=self._factorisations,
             solve_s=time.perf_counter() - began,
@@ -310,6 +327,12 @@ class Continuation:
             return None
         return _Iterate(parameters, pressure, evaluation)
 
+    def _held(self, load: Load) -> Array:
+        """Return how far a load moves the fixed parameters from the last state, (n_params, 3)."""
+        held = self.problem.prescribe(load) - self.state.parameters
+        held[~self.problem.fixed] = 0.0
+        return held
+
     def _predict(self, load: Load) -> _Iterate:
         """Move along the tangent against the whole change of the load.
 
@@ -318,8 +341,7 @@ class Continuation:
         """
         problem, state = self.problem, self.state
         problem.update(state.parameters)
-        held = problem.prescribe(load) - state.parameters
-        held[~problem.fixed] = 0.0
+        held = self._held(load)
         if not self._at_hand or held.any():
             self._factorise(state.parameters, state.pressure, state.load)
         unmoved = problem.evaluate(state.parameters, state.pressure, load)
@@ -338,7 +360,13 @@ class Continuation:
         return replace(moved, evaluation=problem.evaluate(moved.parameters, moved.pressure, load))
 
     def _advance(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:
-        """Return the equilibrium at ``load``, or reject the step.
+        """Predict and correct the equilibrium at ``load``, or reject the step."""
+        return self._correct(self._predict(load), load, tolerance, overlap)
+
+    def _correct(
+        self, here: _Iterate, load: Load, tolerance: float, overlap: float = math.inf
+    ) -> State:
+        """Return the equilibrium at ``load`` that is near a point, or reject the step.
 
         Where contacts overlap by more than ``overlap`` (mm), `Settings.passing` will do.
         """
@@ -349,7 +377,6 @@ class Continuation:
                 return size < tolerance
             return size < tolerance or self.problem.penetration(there.parameters, load) > overlap
 
-        here = self._predict(load)
         change = -self.solver.solve(here.evaluation.residual)
         here, size, settled = self._settle(here, change, load, enough)
         damping = 0.0
@@ -382,14 +409,52 @@ class Continuation:
                 if damping > 20.0:
                     raise self._fault("no damping makes the corrections descend", evaluation)
                 self._refactorise(damping)
-            damping = 0.0 if damping < 0.5 else 0.1 * damping
             here, following, full = found
             after = self.problem.size(following)
-            if full and damping == 0.0 and after < max(0.4 * size, tolerance):
+            # Corrections that are damped, or hardly shrink, are small far from equilibrium too.
+            if full and damping == 0.0 and after < (0.4 if after > tolerance else 0.7) * size:
                 here, size, settled = self._settle(here, following, load, enough)
             else:
                 size = after
+            damping = 0.0 if damping < 0.5 else 0.1 * damping
         raise self._fault(f"{settings.max_iterations} iterations were not enough", evaluation)
+
+    def _relax(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:
+        """Let the tissue flow from the last state to an equilibrium at ``load``, which may be far.
+
+        Where the path ends or turns back there is no equilibrium nearby. The tissue moves as if
+        in a viscous bath, by implicit steps in a time that does not matter: each adds a multiple
+        of the first diagonal to a tangent without what is unstable. The multiple falls as long
+        as the steps do not go astray; once they shrink without it Newton's method takes over.
+        """
+        problem, settings = self.problem, self.settings
+        state = self.state
+        problem.update(state.parameters)
+        moved = state.parameters + self._held(load)
+        here = _Iterate(moved, state.pressure, problem.evaluate(moved, state.pressure, load))
+        viscosity = 1.0
+        for _ in range(settings.max_relaxations):
+            evaluation = self._factorise(
+                here.parameters, here.pressure, load, convex=True, damping=viscosity
+            )
+            found = None
+            while found is None:
+                if self._wrong_pivots() <= 0:
+                    change = -self.solver.solve(evaluation.residual)
+                    size = problem.size(change)
+                    found = self._search(here, change, size, load, tolerance)
+                if found is None:
+                    viscosity *= 4.0
+                    if viscosity > 1e4:
+                        raise self._fault("no viscosity keeps the tissue whole", evaluation)
+                    self._refactorise(viscosity)
+            self._iterations += 1
+            here, following, full = found
+            if viscosity < 0.03 and full and problem.size(following) < 0.5 * size:
+                break
+            viscosity *= 0.3
+        self._at_hand = False
+        return self._correct(here, load, tolerance, overlap)
 
     def _settle(
         self,
@@ -454,10 +519,9 @@ class Continuation:
         full : bool
             Whether ``change`` was taken as it is.
         """
-        moving = change[: self.problem.assembly.n_displacements]
 
         def work(at: _Iterate) -> float:
-            return float(at.evaluation.residual[: len(moving)] @ moving)
+            return self.problem.work(at.evaluation.residual, change)
 
         start = work(here)
         factor, shortened = 1.0, False

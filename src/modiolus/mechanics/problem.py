@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, unknown_name
 from ..hermite import HermiteMesh, basis, gauss
+from ..hermite.check import numbers
 from . import kernels
 from .assembly import Assembly, Pattern
 from .laws import WIDTHS, Array, Formulation, Law, Volume
@@ -40,6 +41,9 @@ class Statistics:
     Attributes
     ----------
     converged : bool
+    jumps : int
+        How often the path ended or turned back and the tissue went over to an equilibrium
+        elsewhere.
     steps, newton_iterations, factorisations : int
     solve_s : float
         Wall time of the solve in seconds.
@@ -63,6 +67,7 @@ class Statistics:
     volume_change: float = 0.0
     max_penetration_mm: float = 0.0
     wrong_pivots: int | None = None
+    jumps: int = 0
 
     def as_dict(self) -> dict[str, float | int | bool | None]:
         """Return the figures for a report."""
@@ -233,7 +238,8 @@ class Problem:
     Raises
     ------
     InputError
-        If the mesh is inverted at a Gauss point or an array does not fit it.
+        If the mesh is inverted at a Gauss point, an array or a term does not fit it, or two
+        contacts have one name.
     """
 
     def __init__(
@@ -256,6 +262,7 @@ class Problem:
         self.kappa = float(kappa)
         self.formulation = Formulation() if formulation is None else formulation
         self.fixed = np.zeros((mesh.n_params, 3), dtype=bool) if fixed is None else fixed
+        self._check()
         self.vertices, first = mesh.corner_nodes()
         n_vertices = len(first)
         if self.formulation.volume == Volume.LOGARITHM:
@@ -285,8 +292,10 @@ class Problem:
         self.weights = weights * volume
         law = self.formulation.law
         self._law = None if law == Law.ISOCHORIC else int(law)
+        given = np.asarray(coefficients, dtype=float)
+        shape = (WIDTHS[law],) if given.ndim == 1 else (e, q, WIDTHS[law])
         self._coefficients = np.ascontiguousarray(
-            np.broadcast_to(np.asarray(coefficients, dtype=float), (e, q, WIDTHS[law]))
+            np.broadcast_to(numbers("coefficients", given, *shape), (e, q, WIDTHS[law]))
         )
 
         patterns = [self.pattern]
@@ -331,6 +340,25 @@ class Problem:
         """Number of free displacement components and pressures."""
         return self.assembly.n
 
+    def _check(self) -> None:
+        """Refuse what would be computed wrongly without a word."""
+        shape = (self.mesh.n_params, 3)
+        if self.fixed.shape != shape or self.fixed.dtype != bool:
+            raise InputError(
+                f"fixed: {self.fixed.dtype} of shape {self.fixed.shape}; give bool of {shape}"
+            )
+        if not 0.0 <= self.kappa < np.inf:
+            raise InputError(f"kappa: {self.kappa:g} is no stiffness; give a number from 0 up")
+        keeping: set[str] = set()
+        for term in self.terms:
+            if term.functions.shape[1] != self.mesh.n_params:
+                raise InputError(f"{term.name}: the term is of another mesh; make it of this one")
+            # Contacts find their multipliers by their names.
+            if type(term).augmented is not PointTerm.augmented:
+                if term.name in keeping:
+                    raise InputError(f"{term.name}: two contacts have this name; rename one")
+                keeping.add(term.name)
+
     def load(self, activations: Mapping[str, float], prescribed: Array | None = None) -> Load:
         """Check activations and make a load of them.
 
@@ -368,6 +396,11 @@ class Problem:
         """Return the mean of the scalar product of two changes' displacements in mm²."""
         n = self.assembly.n_displacements
         return float((self._mass * one[:n]) @ other[:n])
+
+    def work(self, residual: Array, change: Array) -> float:
+        """Return the work of a residual (n,) on the displacements of a change (n,) in mN mm."""
+        n = self.assembly.n_displacements
+        return float(residual[:n] @ change[:n])
 
     def add(self, state: State, change: Array, factor: float = 1.0) -> tuple[Array, Array]:
         """Return parameters and pressures after a change of the unknowns (n,)."""
