@@ -7,7 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modiolus import hermite
+from modiolus.errors import InputError
 from modiolus.mechanics import (
+    DeadForces,
     FibreQuadrature,
     Fibres,
     Load,
@@ -336,3 +338,32 @@ def test_mirror_condition_keeps_the_mirrored_field_smooth():
     assert np.abs(field.evaluate(*at)[:, 0]).max() < 1e-14
     assert np.abs(field.evaluate(*at, (1, 0, 0))[:, 1:]).max() < 1e-14
     assert np.abs(field.evaluate(*at, (1, 0, 0))[:, 0]).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ({"coefficients": [1.0, 0.0]}, "coefficients"),
+        ({"coefficients": [np.nan, 0.0, 0.0]}, "coefficients"),
+        ({"fixed": np.zeros(3, dtype=bool)}, "fixed"),
+        ({"fixed": np.zeros((MESH.n_params, 3), dtype=int)}, "fixed"),
+        ({"kappa": np.nan}, "kappa"),
+        ({"kappa": -1.0}, "kappa"),
+    ],
+)
+def test_a_problem_refuses_what_does_not_fit(given, word):
+    with pytest.raises(InputError, match=word):
+        Problem(MESH, **{"coefficients": [1.0, 0.0, 0.0], **given})
+
+
+def test_terms_refuse_what_does_not_fit():
+    place = [0], [[0.5, 0.5, 0.5]]
+    other = MESH.with_parameters(MESH.parameters)
+    assert Problem(other, [1.0, 0.0, 0.0], terms=[Springs(MESH, *place, 1.0)])
+    smaller = hermite.bricks([[0.0, 1.0]] * 3)
+    with pytest.raises(InputError, match="another mesh"):
+        Problem(MESH, [1.0, 0.0, 0.0], terms=[Springs(smaller, *place, 1.0)])
+    with pytest.raises(InputError, match="stiffness"):
+        Springs(MESH, *place, [1.0, 2.0])
+    with pytest.raises(InputError, match="weight"):
+        DeadForces(MESH, *place, [0.0, 0.0, 1.0])

@@ -59,8 +59,11 @@ def symmetry_plane(
     Raises
     ------
     InputError
-        If a parameter governs both the face and the slope across it.
+        If a parameter governs both the face and the slope across it, or there is no such
+        component.
     """
+    if component not in (0, 1, 2):
+        raise InputError(f"symmetry plane: component {component}; give 0, 1 or 2")
     within, across = mesh.face_parameters(elements, axis, side)
     if len(np.intersect1d(within, across)):
         raise InputError(

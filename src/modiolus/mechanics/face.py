@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..anatomy.distance import DistanceGrid, MirroredDistance
-from ..errors import InputError
+from ..errors import InputError, unknown_name
 from ..face.expression import Expression, resolve
 from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw, opening
@@ -250,6 +250,8 @@ def face_problem(
     mesh = head.tissue
     order = settings.gauss_order
     fraction, firmness = (at_gauss(values, order) for values in (head.fraction, head.firmness))
+    if settings.muscle not in MUSCLE:
+        raise unknown_name("passive muscle", settings.muscle, MUSCLE)
     coefficients = mix(fraction, MUSCLE[settings.muscle], FAT)
     coefficients[..., 0] += settings.skin * skin_share(head, order)
     knot = firmness[..., None]

@@ -345,7 +345,10 @@ class Springs(PointTerm):
             functions = functions - mesh.functions(there, at)
             self._apart = bool((there != elements).any())
         super().__init__(name, sp.csr_matrix(functions), elements)
-        self.stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), order.shape)[order]
+        stiffness = np.asarray(stiffness, dtype=float)
+        if stiffness.ndim:
+            numbers(f"{name}: stiffness", stiffness, len(order))
+        self.stiffness = np.broadcast_to(stiffness, order.shape)[order]
         if not (self.stiffness >= 0.0).all():
             raise InputError(f"{name}: a stiffness is negative or NaN; give values from 0 up")
         self.rest = np.asarray(self.functions @ mesh.parameters)
@@ -394,7 +397,7 @@ class DeadForces(PointTerm):
         order = by_host(elements)
         elements = np.asarray(elements)[order]
         super().__init__(name, mesh.functions(elements, np.asarray(xi)[order]), elements)
-        self.forces = np.asarray(forces, dtype=float)[order]
+        self.forces = numbers(name, forces, len(order), 3)[order]
         self.rest = np.asarray(self.functions @ mesh.parameters)
 
     @classmethod
