@@ -28,7 +28,8 @@ from modiolus.mechanics.face import face_problem
 
 COLUMNS = (
     *("set", "converged", "reached", "steps", "iterations", "factorisations", "seconds"),
-    *("J_min", "J_max", "penetration_mm", "wrong_pivots", "activations", "why"),
+    *("J_min", "J_max", "penetration_mm", "wrong_pivots", "jumps", "correction_mm"),
+    *("activations", "why"),
 )
 #: Muscles of a set at most.
 MOST = 6
@@ -82,7 +83,8 @@ def main() -> None:
             *(number, int(not why), round(min(share), 4) if why else 1.0, found.steps),
             *(found.newton_iterations, found.factorisations),
             *(round(time.perf_counter() - began, 2), round(found.J_min, 3), round(found.J_max, 3)),
-            *(round(found.max_penetration_mm, 4), found.wrong_pivots),
+            *(round(found.max_penetration_mm, 4), found.wrong_pivots, found.jumps),
+            round(found.correction_mm, 6),
             *(json.dumps(activations), why),
         )
         rows[number] = {k: str(v) for k, v in zip(COLUMNS, values, strict=True)}

@@ -212,11 +212,7 @@ class Continuation:
                     reached,
                     f"load {reached:.0%}, J {statistics.J_min:.2f} to {statistics.J_max:.2f}",
                 )
-        try:
-            self._press(steps, began)
-        except SolveError as error:
-            text = self._account(load, reached, str(error), steps)
-            raise LoadNotReached(text, reached, self.state) from None
+        self._press(steps, began)
         return self.state
 
     def _press(self, steps: int, began: float) -> None:
@@ -229,9 +225,8 @@ class Continuation:
             try:
                 state = self._advance(pressed, settings.tolerance, self._limit(done + 1))
             except SolveError:
-                # The overlap of the penalty remains, and is told.
+                # The overlap of the penalty remains, and is told, as is the last correction.
                 self._at_hand = False
-                self._keep(self._advance(self.state.load, settings.tolerance), steps, began)
                 return
             self._keep(state, steps, began)
 
@@ -381,9 +376,9 @@ class Continuation:
         here, size, settled = self._settle(here, change, load, enough)
         damping = 0.0
         wary = False
+        if settled:
+            return self._converged(here, load, size)
         for _ in range(settings.max_iterations):
-            if settled:
-                return self._converged(here, load)
             convex = wary or size > settings.near
             evaluation = self._factorise(
                 here.parameters, here.pressure, load, convex=convex, damping=damping
@@ -414,6 +409,8 @@ class Continuation:
             # Corrections that are damped, or hardly shrink, are small far from equilibrium too.
             if full and damping == 0.0 and after < (0.4 if after > tolerance else 0.7) * size:
                 here, size, settled = self._settle(here, following, load, enough)
+                if settled:
+                    return self._converged(here, load, size)
             else:
                 size = after
             damping = 0.0 if damping < 0.5 else 0.1 * damping
@@ -545,11 +542,12 @@ class Continuation:
             factor, shortened = 0.5 * factor, True
         return None
 
-    def _converged(self, here: _Iterate, load: Load) -> State:
+    def _converged(self, here: _Iterate, load: Load, size: float) -> State:
         wrong = None if self.solver.negative_pivots is None else self._wrong_pivots()
         statistics = replace(
             self.problem.check(here.parameters, load, here.evaluation.volume_ratio),
             wrong_pivots=wrong,
+            correction_mm=size,
         )
         self._energies = here.evaluation.energies
         return replace(

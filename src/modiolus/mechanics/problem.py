@@ -55,6 +55,8 @@ class Statistics:
     wrong_pivots : int or None
         Negative pivots beyond the number of pressures in the last factorisation; not 0
         means that the state is not a stable equilibrium. None when the solver cannot tell.
+    correction_mm : float
+        Displacement of the last correction, root mean square.
     """
 
     converged: bool = True
@@ -68,6 +70,7 @@ class Statistics:
     max_penetration_mm: float = 0.0
     wrong_pivots: int | None = None
     jumps: int = 0
+    correction_mm: float = 0.0
 
     def as_dict(self) -> dict[str, float | int | bool | None]:
         """Return the figures for a report."""
