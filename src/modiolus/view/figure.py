@@ -1,6 +1,8 @@
 """Figures: panels of drawn scenes with titles and a colour scale, written as one picture."""
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -141,13 +143,18 @@ def figure(
     pen = ImageDraw.Draw(page)
     if heading:
         pen.text((margin, margin), heading, _INK, _font(round(1.35 * text)))
-    for number, panel in enumerate(panels):
-        left, above = width * (number % columns), top + step * (number // columns)
+
+    def drawn(panel: Panel) -> Image.Image:
         if panel.chart is not None:
-            picture = panel.chart(width - gap, height - gap, text)
-        else:
-            pixels = draw(panel.shapes, panel.curves, panel.camera, width - gap, height - gap)
-            picture = Image.fromarray(np.round(255 * pixels).astype(np.uint8))
+            return panel.chart(width - gap, height - gap, text)
+        pixels = draw(panel.shapes, panel.curves, panel.camera, width - gap, height - gap)
+        return Image.fromarray(np.round(255 * pixels).astype(np.uint8))
+
+    # The kernels and most of NumPy leave the interpreter to other threads.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        pictures = list(pool.map(drawn, panels))
+    for number, (panel, picture) in enumerate(zip(panels, pictures, strict=True)):
+        left, above = width * (number % columns), top + step * (number // columns)
         page.paste(picture, (left, above + head))
         pen.text((left + margin, above + margin // 2), panel.title, _INK, _font(text))
         pen.text(

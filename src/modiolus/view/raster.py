@@ -136,7 +136,7 @@ class Curves:
             raise InputError(f"curves: lengths do not add up to the {n} points; mend them")
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _scan(points, faces, depth, owner, weights):  # type: ignore[no-untyped-def]
     """Scan-convert triangles into the buffers, nearest first.
 
@@ -220,7 +220,7 @@ _GROUND = np.array([1.00, 0.93, 0.88]) * 0.13
 _SCATTERED = 0.4 + 0.6 * np.array([1.00, 0.42, 0.30])
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, nogil=True)
 def _shade(  # type: ignore[no-untyped-def]
     vertices, faces, normals, colours, gloss, glow, lit, owner, weights, open_sky, eye, axes, image
 ):
