@@ -11,8 +11,7 @@ import scipy.sparse as sp
 from ..hermite import HermiteMesh, bricks
 from ..hermite.basis import Array, IntArray
 from ..mechanics import Load, Problem, Settings, SurfaceContact, solve
-from ..mechanics.contact import Side
-from ..mechanics.facing import Patches, segments
+from ..mechanics.facing import Patches, Side, segments
 from .case import Check
 from .meshes import side
 
