@@ -8,7 +8,7 @@ did not reach its end; the command line leaves with code 1.
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["InputError", "SolveError", "unknown_name"]
+__all__ = ["InputError", "SolveError", "Stopped", "unknown_name"]
 
 
 class InputError(ValueError):
@@ -24,6 +24,10 @@ class SolveError(RuntimeError):
 
     The message says where it failed, which term was to blame, and what to try.
     """
+
+
+class Stopped(Exception):
+    """An interruption after which something was kept; the text says what and where."""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:

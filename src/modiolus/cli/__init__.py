@@ -32,7 +32,7 @@ def _run(arguments: list[str]) -> int:
     from typer.exceptions import Abort, Exit, TyperException
 
     from modiolus.cli.app import app
-    from modiolus.errors import InputError, SolveError
+    from modiolus.errors import InputError, SolveError, Stopped
     from modiolus.progress import Interruption
 
     # A polite kill ends like Ctrl-C: everything half-written is removed on the way out.
@@ -41,6 +41,8 @@ def _run(arguments: list[str]) -> int:
         code = app(arguments, prog_name="modiolus", standalone_mode=False)
     except (KeyboardInterrupt, Abort):
         code = _INTERRUPTED
+    except Stopped as error:
+        return _say(_one_line(error), _INTERRUPTED)
     except Exit as error:
         code = error.exit_code
     except (InputError, TyperException) as error:

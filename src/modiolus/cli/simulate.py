@@ -12,13 +12,13 @@ import typer
 
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
 from modiolus.cli.outputs import whole_folder
-from modiolus.errors import InputError, SolveError
+from modiolus.errors import InputError, SolveError, Stopped
 
 if TYPE_CHECKING:
     from modiolus.cli.run import Runner
     from modiolus.face.expression import Expression
     from modiolus.face.head import Head
-    from modiolus.mechanics import LoadNotReached, State
+    from modiolus.mechanics import Interrupted, LoadNotReached, State
     from modiolus.scans.result import Result
 
 
@@ -80,7 +80,7 @@ def simulate(
     """Contract the muscles of an expression and write OUT/<name>/.
 
     The folder has face.png, face.glb, tissue.vtu, state.npz and report.json. Where the activations
-    cannot be reached, OUT/<name>-stopped/ has the last state on the way.
+    cannot be reached, or after Ctrl-C, OUT/<name>-stopped/ has the last state on the way.
     """
     began = time.perf_counter()
     from modiolus.face.expression import Expression, resolve
@@ -101,18 +101,19 @@ def simulate(
     earlier = _earlier(start, head, chosen) if start else None
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
-        from modiolus.mechanics import LoadNotReached
+        from modiolus.mechanics import Interrupted, LoadNotReached
 
         runner = Runner(chosen, quiet, head)
         title = f"{wanted.title or wanted.name}, {palsy} side palsied" if palsy else wanted.title
         begin = None if earlier is None else _begin(runner, earlier, start)
         try:
             state = runner.solve(wanted.name, activations, jaw, begin)
-        except LoadNotReached as error:
+        except (LoadNotReached, Interrupted) as error:
             if error.reached == 0.0:
                 raise
             place = _stopped(runner, error, wanted, target, began)
-            raise SolveError(f"{error}; the state there is in {place}") from None
+            kind = SolveError if isinstance(error, LoadNotReached) else Stopped
+            raise kind(f"{error}; the state there is in {place}") from None
         record = runner.write(wanted.name, title, state, folder, target, began)
     show(record, describe(record), as_json, quiet)
 
@@ -145,7 +146,11 @@ def _begin(runner: Runner, earlier: Result, folder: str) -> State:
 
 
 def _stopped(
-    runner: Runner, error: LoadNotReached, wanted: Expression, target: Path, began: float
+    runner: Runner,
+    error: LoadNotReached | Interrupted,
+    wanted: Expression,
+    target: Path,
+    began: float,
 ) -> Path:
     """Write the last state on the way to a load that was not reached; return its folder."""
     place = target.with_name(f"{target.name}-stopped")

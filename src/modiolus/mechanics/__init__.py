@@ -2,7 +2,7 @@
 
 from .constraints import clamp, symmetry_plane
 from .contact import RigidContact, SignedDistance, SurfaceContact, face_points
-from .continuation import Continuation, LoadNotReached, Settings, solve
+from .continuation import Continuation, Interrupted, LoadNotReached, Settings, solve
 from .laws import (
     FAT,
     MUSCLE,
@@ -40,6 +40,7 @@ __all__ = [
     "FollowerPressure",
     "Formulation",
     "Guccione",
+    "Interrupted",
     "Law",
     "Load",
     "LoadNotReached",

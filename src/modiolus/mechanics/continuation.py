@@ -92,6 +92,23 @@ class LoadNotReached(SolveError):
         self.state = state
 
 
+class Interrupted(KeyboardInterrupt):
+    """The way to a load was interrupted.
+
+    Attributes
+    ----------
+    reached : float
+        Fraction of the load.
+    state : State
+        The last converged state, at that fraction.
+    """
+
+    def __init__(self, reached: float, state: State) -> None:
+        super().__init__(f"interrupted at {reached:.1%} of the load")
+        self.reached = reached
+        self.state = state
+
+
 @dataclass(frozen=True)
 class _Iterate:
     """A point on the way to an equilibrium, and the terms evaluated there."""
@@ -141,6 +158,7 @@ class Continuation:
         single = problem.formulation.law == Law.ISOCHORIC
         self.solver = best_solver(single) if solver is None else solver
         self._at_hand = False
+        self._reached = 0.0
         self._diagonal: Array | None = None
         self._factorisations = 0
         self._iterations = 0
@@ -162,7 +180,18 @@ class Continuation:
         LoadNotReached
             A `SolveError` whose text says how far it came, what stopped it, where the tissue
             suffers most and what to try.
+        Interrupted
+            A `KeyboardInterrupt` that has the last converged state.
         """
+        self._reached = 0.0
+        try:
+            return self._follow(load)
+        except KeyboardInterrupt:
+            self._at_hand = False
+            raise Interrupted(self._reached, self.state) from None
+
+    def _follow(self, load: Load) -> State:
+        """Take steps to a load, and press contacts apart there."""
         began = time.perf_counter()
         self._factorisations = self._iterations = self._jumps = 0
         start, settings = self.state.load, self.settings
@@ -200,7 +229,7 @@ class Continuation:
                 self._jumps += 1
             work = max(self._factorisations - before, 1)
             step = (target - reached) * float(np.clip(8.0 / work, 0.7, 2.5))
-            reached = target
+            self._reached = reached = target
             self._keep(state, steps, began)
             if reached < 1.0 and steps >= settings.max_steps:
                 fault = f"the last step that failed: {fault}" if fault else "no step failed"
