@@ -168,7 +168,7 @@ def test_interruption_leaves_nothing(tmp_path):
 def test_interruption_on_the_way_keeps_the_last_state(run, monkeypatch, tmp_path):
     def stop(progress, done, message=""):
         if done > 0.05:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(Progress, "update", stop)
     code, out, error = run("simulate", "--activation", "mentalis=0.1", "--json")

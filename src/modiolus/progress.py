@@ -35,6 +35,11 @@ class Interruption:
         raise KeyboardInterrupt
 
     @classmethod
+    def heed(cls) -> None:
+        """Forget a request that has been answered; another one counts again."""
+        cls._asked = False
+
+    @classmethod
     def check(cls) -> None:
         """Raise `KeyboardInterrupt` if an interruption was asked for."""
         if cls._asked:

@@ -13,6 +13,7 @@ import typer
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError, SolveError, Stopped
+from modiolus.progress import Interruption
 
 if TYPE_CHECKING:
     from modiolus.cli.run import Runner
@@ -111,6 +112,7 @@ def simulate(
         except (LoadNotReached, Interrupted) as error:
             if error.reached == 0.0:
                 raise
+            Interruption.heed()
             place = _stopped(runner, error, wanted, target, began)
             kind = SolveError if isinstance(error, LoadNotReached) else Stopped
             raise kind(f"{error}; the state there is in {place}") from None
