@@ -154,8 +154,9 @@ class Continuation:
         self.state = problem.rest() if state is None else state
         self.settings = Settings() if settings is None else settings
         self.report = report
-        # Exponential laws span more than single precision can hold.
-        single = problem.formulation.law == Law.ISOCHORIC
+        # Exponential laws span more than single precision can hold, and a fine tolerance takes
+        # fewer iterations in double precision.
+        single = problem.formulation.law == Law.ISOCHORIC and self.settings.tolerance > 1e-6
         self.solver = best_solver(single) if solver is None else solver
         self._at_hand = False
         self._reached = 0.0
