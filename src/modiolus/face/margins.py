@@ -163,6 +163,9 @@ def _eye(surface: Surface, eye: Array) -> tuple[Array, Array] | None:
             low -= 1
         while high < len(z) - 1 and not smooth[k, high + 1]:
             high += 1
+        # Where the rim reaches the end of the window there is no margin to be seen.
+        if low == 0 or high == len(z) - 1:
+            return None
         lower.append([x[k], depth[k, low - 1], z[low]])
         upper.append([x[k], depth[k, high + 1], z[high]])
     return np.array(upper), np.array(lower)
