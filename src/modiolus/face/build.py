@@ -13,7 +13,7 @@ from ..anatomy.surface import Surface
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
 from .embed import (
-    boundary_surface,
+    LID_SHIFT,
     bring_inside,
     fasciae,
     insertions,
@@ -21,12 +21,12 @@ from .embed import (
     ligaments,
     modiolus_centre,
     modiolus_share,
+    move_lids,
     muscle_fraction,
     origins,
-    wrap_lids,
 )
 from .head import Head, RigidSurface
-from .muscles import build_muscles, muscle_table
+from .muscles import build_muscles, muscle_quality, muscle_table
 from .template import NECK_CUT
 from .tissue import EYE_CENTRE, EYE_RADIUS, Tissue, build_tissue, eyeball, outer_sheet
 
@@ -83,10 +83,8 @@ def build_head(
     fitted = build_muscles(anatomy)
     tell(0.75, "muscles into the tissue")
     lids = "orbicularis_oculi_palpebral"
-    muscles = {**fitted, lids: wrap_lids(fitted[lids])}
-    outer = boundary_surface(tissue.mesh, tissue.sides["outer"])
-    inner = boundary_surface(tissue.mesh, tissue.sides["inner"])
-    muscles = {key: bring_inside(muscle, outer, inner) for key, muscle in muscles.items()}
+    muscles = {**fitted, lids: move_lids(fitted[lids])}
+    muscles = {key: bring_inside(m, tissue.mesh, NECK_CUT) for key, m in muscles.items()}
     tell(0.85, "muscle fraction and attachments")
     element, xi = tissue.landmarks["mouth_corner"]
     corner = tissue.mesh.evaluate([element], [(*xi[:2], 0.5)])[0]
@@ -121,7 +119,20 @@ def build_head(
     }
     head.about["quality"]["inside"] = share
     tell(0.95, "quality of the muscles")
-    table = quality_text(head) + "\n\n" + muscle_table(fitted, anatomy)
+    # The lids' muscle is compared where its source is.
+    moved = {**muscles, lids: move_lids(muscles[lids], -LID_SHIFT)}
+    rows = muscle_quality(moved, anatomy)
+    head.about["quality"]["moved_rms_mm"] = {row.name: round(row.rms, 2) for row in rows}
+    head.about["quality"]["moved_volume"] = {
+        row.name: round(row.volume / row.source_volume, 3) for row in rows
+    }
+    table = (
+        quality_text(head)
+        + "\n\nas fitted\n"
+        + muscle_table(muscle_quality(fitted, anatomy))
+        + "\n\nmoved into the tissue\n"
+        + muscle_table(rows)
+    )
     tell(1.0, "done")
     return head, table
 

@@ -10,6 +10,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..anatomy.distance import DistanceGrid
 from ..anatomy.surface import MIDPLANE, Surface
@@ -20,7 +23,7 @@ from ..hermite.tessellate import tessellate
 from .head import Attachment
 from .muscle import Muscle
 from .template import COLUMNS
-from .tissue import EYE_CENTRE, EYE_RADIUS, Side
+from .tissue import Side
 
 #: Stretch from which passive fibres are taut. The muscles of a resting face are not: a mouth
 #: that moves by 10 mm stretches its antagonists by a fifth before they resist.
@@ -71,93 +74,134 @@ def boundary_surface(mesh: HermiteMesh, side: Side, divisions: int = 6) -> Surfa
     return Surface(cut.points(face.parameters), cut.cells, "tissue")
 
 
-def depth_below(surface: Surface, points: Array) -> tuple[Array, Array]:
-    """Return how far points lie behind an open surface (n,), and its normals there (n, 3).
-
-    Beyond the rim of the surface the depth is NaN.
-    """
-    found = surface.closest(points)
-    normal = surface.normals[found.faces]
-    offset = points - found.points
-    depth = -np.einsum("ni,ni->n", offset, normal)
-    aside = np.linalg.norm(offset + depth[:, None] * normal, axis=1)
-    depth[aside > 0.3 + 0.5 * np.abs(depth)] = np.nan
-    return depth, normal
-
-
-#: Centre and radius of the source's left eyeball (mm).
-SOURCE_EYE = ((27.1, -158.7, 1527.3), 15.5)
+#: How far back (mm) the lid part of orbicularis oculi stands in the head: the source's eyeballs
+#: and lids stand in front of the skin.
+LID_SHIFT = 3.0
 
 #: Columns through a muscle's thickness that are moved: across, along and through an element.
 _COLUMNS = (5, 5, 3)
-#: Weights of the fit to the moved columns; the first with which the muscle does not fold is used.
-_SMOOTHINGS = (0.02, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
-#: A column between surfaces too close for it is thinned to this share at most.
-_THINNEST = 0.5
+#: Widths (mm) of the means by which neighbours move along, in turn; and steps with each.
+_WIDTHS, _STEPS = (3.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.5, 1.0, 1.0), 4
+#: Share of its way by which a column goes back that has been taken along too far, and the smallest
+#: scaled Jacobian; the first share with which the muscle keeps that is used.
+_BACK, _LEAST_JACOBIAN = (0.1, 0.0), 0.08
+#: Longest step (mm), and the weight of columns that are inside already.
+_STRIDE, _AT_REST = 0.6, 0.5
+#: Share of a muscle that may stay where it is when it is farther outside than the rest, and the
+#: distance (mm) from which on it may.
+_LEFT, _FAR = 0.03, 0.5
+#: Weight of the change of first and second derivatives in the fit to the moved columns.
+_STIFFNESS = 3e-3
 
 
-def bring_inside(muscle: Muscle, outer: Surface, inner: Surface) -> Muscle:
+def bring_inside(muscle: Muscle, tissue: HermiteMesh, above: float = -np.inf) -> Muscle:
     """Move the parts of a muscle that stand out of the tissue into it.
 
-    Every column of points through the thickness is shifted as one along the normal of the
-    tissue until it keeps its clearance on both sides, and is thinned only where there is no
-    room for it; the muscle is fitted to where the columns arrive.
+    The muscle flows: in small steps, every column of points through its thickness goes towards
+    the nearest place that keeps its clearance, as the mean of its neighbours does, so that nothing
+    folds. Columns keep their thickness, and grow thicker where the muscle has become shorter: its
+    volume stays. The mesh is fitted to where they arrive, and what the fit has lost is sought
+    again with narrower means.
+
+    Parameters
+    ----------
+    muscle : Muscle
+    tissue : HermiteMesh
+    above : float
+        What lies below this height (mm) stays where it is.
     """
-    mesh = muscle.mesh
-    ticks = [np.linspace(0.0, 1.0, n) for n in _COLUMNS]
-    cell = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    elements = np.repeat(np.arange(mesh.n_elements), len(cell))
-    xi = np.tile(cell, (mesh.n_elements, 1))
-    start = mesh.evaluate(elements, xi).reshape(-1, _COLUMNS[2], 3)
-    points = start.copy()
-    for _ in range(8):
-        shape = points.shape[:2]
-        below, normal = depth_below(outer, points.reshape(-1, 3))
-        above, base = depth_below(inner, points.reshape(-1, 3))
-        lack_out = np.nanmax(CLEARANCE[0] - _known(below, shape, np.inf), axis=1)
-        lack_in = np.nanmax(CLEARANCE[1] + _known(above, shape, -np.inf), axis=1)
-        push_in, push_out = np.maximum(lack_out, 0.0), np.maximum(lack_in, 0.0)
-        inward = -normal.reshape(*shape, 3).mean(axis=1)
-        outward = base.reshape(*shape, 3).mean(axis=1)
-        points += 0.7 * (push_in[:, None] * inward + push_out[:, None] * outward)[:, None]
-        crowded = np.minimum(push_in, push_out)
-        span = np.linalg.norm(points[:, -1] - points[:, 0], axis=1)
-        least = _THINNEST * np.linalg.norm(start[:, -1] - start[:, 0], axis=1)
-        factor = np.clip((span - crowded) / np.maximum(span, 1e-9), 0.0, 1.0)
-        factor = np.maximum(factor, np.minimum(least / np.maximum(span, 1e-9), 1.0))
-        middle = points.mean(axis=1, keepdims=True)
-        points = middle + factor[:, None, None] * (points - middle)
-    if np.abs(points - start).max() < 0.05:
-        return replace(muscle, slack=SLACK)
-    target = PointTarget("inside", elements, xi, points.reshape(-1, 3))
-    for weight in _SMOOTHINGS:
-        smoothing = Smoothing(first=weight, second=weight, relative=True)
-        moved = fit(mesh, [target], smoothing, iterations=1).mesh
-        if np.linalg.det(moved.jacobian(elements, xi)).min() > 0.0:
+    for back in _BACK:
+        moved = _flow(muscle.mesh, tissue, above, back)
+        if moved.scaled_jacobian(*_samples(moved)).min() > _LEAST_JACOBIAN:
             break
     return replace(muscle, mesh=moved, slack=SLACK)
 
 
-def wrap_lids(muscle: Muscle) -> Muscle:
-    """Lay the lid part of orbicularis oculi from the source's eyeball onto that of the head.
+def _samples(mesh: HermiteMesh) -> tuple[NDArray[np.int64], Array]:
+    """Return the columns' points in every element."""
+    ticks = [np.linspace(0.0, 1.0, n) for n in _COLUMNS]
+    cell = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    elements = np.repeat(np.arange(mesh.n_elements), len(cell))
+    return elements, np.tile(cell, (mesh.n_elements, 1))
 
-    The source's ball is larger; the muscle keeps its height above the ball.
+
+def _flow(mesh: HermiteMesh, tissue: HermiteMesh, above: float, back: float) -> HermiteMesh:
+    elements, xi = _samples(mesh)
+    deep = _COLUMNS[2]
+    shares = np.linalg.det(mesh.jacobian(elements, xi)).reshape(-1, deep).mean(axis=1)
+    shares /= shares.sum()
+    volume, growth = mesh.measures().sum(), 1.0
+    columns = mesh.evaluate(elements, xi).reshape(-1, deep, 3)
+    thickness = np.linalg.norm(columns[:, -1] - columns[:, 0], axis=1)
+    start = columns.mean(axis=1)
+    for number, width in enumerate(_WIDTHS):
+        columns = mesh.evaluate(elements, xi).reshape(-1, deep, 3)
+        if np.linalg.norm(_way_in(columns, tissue, above), axis=1).max() < 0.02:
+            break
+        growth = np.clip(growth * volume / mesh.measures().sum(), 1.0, 1.5)
+        for _ in range(_STEPS):
+            way = _way_in(columns, tissue, above)
+            length = np.linalg.norm(way, axis=1)
+            inside = length < 0.02
+            if number < len(_WIDTHS) - 2:
+                way[inside] = back * (start - columns.mean(axis=1))[inside]
+            weight = np.where(inside, _AT_REST, 1.0)
+            order = np.argsort(-length)
+            last = order[np.cumsum(shares[order]) < _LEFT]
+            weight[last[length[last] > _FAR]] = 0.0
+            way *= np.minimum(1.0, _STRIDE / np.maximum(length, 1e-9))[:, None]
+            points = columns.reshape(-1, 3)
+            step = _mean_nearby(points, columns.mean(axis=1), way, weight, width)
+            # What lies in the mid-plane stays there.
+            step[:, 0] *= np.clip(0.5 * (points[:, 0] - MIDPLANE), 0.0, 1.0)
+            columns = (points + step).reshape(-1, deep, 3)
+            middle = columns.mean(axis=1, keepdims=True)
+            present = np.linalg.norm(columns[:, -1] - columns[:, 0], axis=1)
+            factor = np.clip(thickness * growth / np.maximum(present, 1e-9), 0.9, 1.1)
+            columns = middle + factor[:, None, None] * (columns - middle)
+        target = PointTarget("inside", elements, xi, columns.reshape(-1, 3))
+        smoothing = Smoothing(first=_STIFFNESS, second=_STIFFNESS, relative=True)
+        mesh = fit(mesh, [target], smoothing, iterations=1).mesh
+    return mesh
+
+
+def _way_in(columns: Array, tissue: HermiteMesh, above: float) -> Array:
+    """Return the way (n, 3) of the worst point of columns (n, m, 3) to where it is clear."""
+    points = columns.reshape(-1, 3)
+    place = tissue.locate(points)
+    ends = [np.column_stack([place.xi[:, :2], np.full(len(points), e)]) for e in (0.0, 1.0)]
+    inner, outer = (tissue.evaluate(place.elements, end) for end in ends)
+    depth = np.linalg.norm(outer - inner, axis=1)
+    xi = place.xi.copy()
+    xi[:, 2] = np.clip(xi[:, 2], CLEARANCE[1] / depth, 1.0 - CLEARANCE[0] / depth)
+    # Off the margins of lips and lids.
+    xi[:, 1] = np.where(place.inside, xi[:, 1], np.clip(xi[:, 1], 0.03, 0.97))
+    way = tissue.evaluate(place.elements, xi) - points
+    way[points[:, 2] < above] = 0.0
+    way = way.reshape(columns.shape)
+    worst = np.linalg.norm(way, axis=2).argmax(axis=1)
+    return np.asarray(way[np.arange(len(way)), worst])
+
+
+def _mean_nearby(at: Array, points: Array, values: Array, weight: Array, width: float) -> Array:
+    """Return the weighted mean (n, 3) of values at points (m, 3) around each place (n, 3)."""
+    near = cKDTree(at).sparse_distance_matrix(
+        cKDTree(points), 3.0 * width, output_type="coo_matrix"
+    )
+    kernel = sp.csr_matrix(
+        (np.exp(-0.5 * (near.data / width) ** 2), (near.row, near.col)), shape=near.shape
+    )
+    return np.asarray(
+        (kernel @ (weight[:, None] * values)) / np.maximum(kernel @ weight, 1e-9)[:, None]
+    )
+
+
+def move_lids(muscle: Muscle, back: float = LID_SHIFT) -> Muscle:
+    """Bring the lid part of orbicularis oculi from the source's lids to those of the head.
+
+    Its outline as seen from the front stays.
     """
-    centre, radius = SOURCE_EYE
-
-    def onto(points: Array) -> Array:
-        away = points - np.array(centre)
-        distance = np.linalg.norm(away, axis=-1, keepdims=True)
-        return np.asarray(EYE_CENTRE + away * (distance - radius + EYE_RADIUS) / distance)
-
-    return muscle.transformed(onto)
-
-
-def _known(depth: Array, shape: tuple[int, ...], otherwise: float) -> Array:
-    """Shape depths as columns; a column of which nothing is known gets another value."""
-    columns = depth.reshape(shape).copy()
-    columns[np.isnan(columns).all(axis=1)] = otherwise
-    return columns
+    return muscle.transformed(lambda points: points + np.array([0.0, back, 0.0]))
 
 
 def inside_fraction(mesh: HermiteMesh, muscle: Muscle, above: float = -np.inf) -> float:

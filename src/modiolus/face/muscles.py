@@ -601,15 +601,13 @@ def _ticks(mesh: HermiteMesh) -> tuple[np.ndarray, np.ndarray]:
     return elements, np.tile(xi, (mesh.n_elements, 1))
 
 
-def muscle_table(muscles: Mapping[str, Muscle], anatomy: BodyParts3D) -> str:
+def muscle_table(rows: Iterable[MuscleQuality]) -> str:
     """Return the quality of muscles as a table of plain text.
 
     Parameters
     ----------
-    muscles : dict of Muscle
-        As from `build_muscles`.
-    anatomy : BodyParts3D
-        Where their surfaces come from.
+    rows : iterable of MuscleQuality
+        As from `muscle_quality`.
     """
     lines = [
         f"{'muscle':38s} {'kind':5s} {'rms':>5s} {'max':>5s} {'volume':>7s} {'ratio':>5s} "
@@ -619,6 +617,6 @@ def muscle_table(muscles: Mapping[str, Muscle], anatomy: BodyParts3D) -> str:
         f"{q.name:38s} {q.kind:5s} {q.rms:5.2f} {q.maximum:5.2f} {q.volume:7.0f} "
         f"{q.volume / q.source_volume:5.2f} {q.jacobian:6.2f} {q.scaled_jacobian:6.2f} "
         f"{q.length:6.1f} {q.angle:5.0f}"
-        for q in muscle_quality(muscles, anatomy)
+        for q in rows
     ]
     return "\n".join(lines)

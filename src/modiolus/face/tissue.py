@@ -10,7 +10,7 @@ tricubic elements.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -50,6 +50,8 @@ EYE_RADIUS = 12.0
 
 #: Subdivisions of an element in the lattice that is shrunk onto the deep structures.
 LATTICE = 4
+#: Points an element in each direction at which its clearance is checked last.
+_FINE = 6
 #: Distance that the inner surface keeps from the deep structures (mm).
 MARGIN = 0.5
 
@@ -59,11 +61,14 @@ DEPTHS: dict[tuple[float, float], float] = {
     (0, 1): 9, (6, 1): 10, (12, 1): 10,
     (0, 2): 11, (4, 2): 11, (8, 2): 12, (12, 2): 11,
     (0, 3): 16, (4, 3): 16, (8, 3): 16, (12, 3): 13,
-    (0, 5): 16, (4, 5): 16, (8, 5): 19, (12, 5): 13,
-    (0, 7): 11, (2, 7): 11, (3, 7): 6, (4, 7): 7.5, (5, 7): 12, (6, 7): 17, (8, 7): 20,
-    (10, 7): 18, (12, 7): 12,
-    (0, 9): 8.5, (2, 9): 9.2, (4, 9): 13, (6, 9): 18, (8, 9): 18, (12, 9): 10,
-    (0, 10): 6, (2, 10): 7, (3, 10): 8.5, (4, 10): 12, (5, 10): 16, (8, 10): 17, (12, 10): 8,
+    (0, 5): 16, (4, 5): 16, (7, 5): 24, (8, 5): 20, (12, 5): 13,
+    (7, 4): 22, (8, 4): 20, (7, 6): 24, (8, 6): 20,
+    (0, 7): 11, (2, 7): 11, (3, 7): 6, (4, 7): 7.5, (5, 7): 12, (6, 7): 17, (7, 7): 24,
+    (8, 7): 22, (10, 7): 18, (12, 7): 12,
+    (0, 8): 13, (2, 8): 13, (7, 8): 20,
+    (0, 9): 14, (2, 9): 14, (4, 9): 15, (6, 9): 18, (7, 9): 16, (8, 9): 16, (12, 9): 10,
+    (0, 10): 16, (2, 10): 16, (3, 10): 15, (4, 10): 14, (5, 10): 16, (8, 10): 17, (12, 10): 8,
+    (0, 10.5): 14, (2, 10.5): 14,
     (0, 11): 3.5, (1, 11): 3.5, (2, 11): 4, (3, 11): 4.5, (4, 11): 11, (5, 11): 16,
     (8, 11): 15, (10, 11): 7, (12, 11): 6,
     (0, 12): 3, (1, 12): 3, (2, 12): 3.5, (3, 12): 5, (4, 12): 11, (6, 12): 15, (8, 12): 12,
@@ -79,8 +84,8 @@ DEPTHS: dict[tuple[float, float], float] = {
 
 #: Least thickness (mm) over bone where a muscle lies: the skin is moved out to make room.
 LEAST = 3.2
-#: Least thickness of the lids and of the nose's skin (mm).
-LEAST_LID = 1.6
+#: Least thickness of the lids and of the nose's skin, and of the skin of the temple (mm).
+LEAST_LID, LEAST_TEMPLE = 1.6, 1.5
 
 #: Sides of the mesh by name: (axis, side).
 Side = tuple[NDArray[np.int64], int, int]
@@ -169,7 +174,20 @@ def _depth_limit(place: Array) -> Array:
     spline = RBFInterpolator(
         np.array(list(DEPTHS), dtype=float), np.array(list(DEPTHS.values())), kernel="linear"
     )
-    return np.asarray(np.clip(spline(place), 1.5, 21.0))
+    return np.asarray(np.clip(spline(place), 1.5, 26.0))
+
+
+def _backward(place: Array) -> tuple[Array, Array]:
+    """Return where the layer goes straight back (n,), from 0 to 1, and that direction (n, 3).
+
+    Under the nose the skin turns downwards, and its normals would cross before they reach the
+    maxilla and the nasal spine.
+    """
+    column, row = place.T
+    share = np.clip((5.5 - column) / 2.0, 0.0, 1.0)
+    share = share * np.clip(row - 7.0, 0.0, 1.0) * np.clip(11.5 - row, 0.0, 1.0)
+    rise = 0.5 * np.clip(row - 9.0, 0.0, 1.0)
+    return share, np.stack([np.zeros_like(row), np.ones_like(row), rise], axis=1)
 
 
 def _nearest(deep: Mapping[str, DistanceGrid], points: Array) -> tuple[Array, Array]:
@@ -244,11 +262,12 @@ def fit_outer(
         distance, _ = _nearest(bones, lattice.points)
         over_lid = np.isclose(lattice.place[:, 1], EYE_ROW, atol=0.6)
         over_lid &= (lattice.place[:, 0] > MEDIAL_CANTHUS) & (lattice.place[:, 0] < LATERAL_CANTHUS)
-        least = np.where(over_lid, LEAST_LID + 0.2, LEAST + MARGIN)
-        lift = np.clip(least - distance, 0.0, 2.7)
+        column, row = lattice.place.T
         # The nose's bridge is thin by nature, and beside the temple there is no muscle.
-        lift[(lattice.place[:, 0] < 3.0) & (np.abs(lattice.place[:, 1] - 12.5) < 2.0)] = 0.0
-        lift *= np.clip((10.5 - lattice.place[:, 0]) / 2.0, 0.0, 1.0)
+        least = np.interp(column, [7.5, 9.0], [LEAST, LEAST_TEMPLE]) + MARGIN
+        least = np.where(over_lid, LEAST_LID + 0.2, least)
+        lift = np.clip(least - distance, 0.0, 2.7)
+        lift[(column < 3.0) & (np.abs(row - 12.5) < 2.0)] = 0.0
         for _smooth in range(10):
             lift = np.maximum(lift, 0.0) * 0.5 + 0.5 * (lattice.average @ lift)
         raised = lattice.points + lift[:, None] * -lattice.inward(lattice.points)
@@ -282,6 +301,7 @@ def shrink(
     mouth = np.isclose(row, MOUTH_ROW) & (column <= COMMISSURE + 1e-9)
     lids = np.isclose(row, EYE_ROW) & (column >= MEDIAL_CANTHUS) & (column <= LATERAL_CANTHUS)
     travel = np.zeros_like(lattice.points)
+    share, backward = _backward(lattice.place)
     stride = 0.4
     # At the free edge the normal of a shrinking sheet is not to be trusted.
     edge = lattice.inward(lattice.points)[ear]
@@ -295,6 +315,8 @@ def shrink(
         points = lattice.points + travel
         direction = lattice.inward(points)
         direction[ear] = edge
+        direction += share[:, None] * (backward - direction)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         direction[mouth, 2] = 0.0
         direction[mouth] /= np.linalg.norm(direction[mouth], axis=1, keepdims=True)
         to_eye = np.array(EYE_CENTRE) - points[lids]
@@ -345,31 +367,40 @@ def build_tissue(skin: Surface, deep: Mapping[str, DistanceGrid]) -> Tissue:
     held[[plan.node[0, MOUTH_ROW], plan.upper[0, MOUTH_ROW]], ::2, 0] = True
     start = outer.with_parameters(plan.scatter(nodal))
     fixed = plan.scatter(held)
-    inner_fit = _fit_envelope(start, lattice, arrived, fixed, deep)
-    surfaces = [_closed(plan, inner_fit.mesh.parameters), _closed(plan, outer.parameters)]
+    inner_fit = _fit_envelope(plan, start, lattice, arrived, fixed, deep)
+    surfaces = [inner_fit.mesh.parameters, _closed(plan, outer.parameters)]
     mesh = _layer(plan, *surfaces)
     return Tissue(mesh, _sides(plan), _landmarks(plan), {"outer": outer_fit, "inner": inner_fit})
 
 
 def _fit_envelope(
+    plan: Layout,
     start: HermiteMesh,
     lattice: _Lattice,
     arrived: Array,
     fixed: NDArray[np.bool_],
     deep: Mapping[str, DistanceGrid],
 ) -> FitResult:
-    """Fit the inner surface, and fit again to targets moved off the bone that it still enters."""
+    """Fit the inner surface, and fit again to targets moved off the bone that it still enters.
+
+    Edges of bone run between the points of the lattice: the later fits are to a finer one.
+    """
     hard = {name: grid for name, grid in deep.items() if name not in ("cartilage", "masseter")}
     smoothing = Smoothing(first=1e-4, second=5e-3)
-    targets = arrived.copy()
-    for _ in range(12):
-        place = PointTarget("envelope", lattice.elements, lattice.xi, targets)
+    place = PointTarget("envelope", lattice.elements, lattice.xi, arrived)
+    result = fit(start, [place], smoothing, fixed, iterations=1)
+    elements, xi, _ = result.mesh.gauss_points(_FINE)
+    targets = result.mesh.evaluate(elements, xi)
+    for _ in range(40):
+        place = PointTarget("envelope", elements, xi, targets)
         result = fit(start, [place], smoothing, fixed, iterations=1)
-        distance, gradient = _nearest(hard, result.mesh.evaluate(lattice.elements, lattice.xi))
-        lack = np.clip(0.5 * MARGIN - distance, 0.0, 1.0)
-        if lack.max() < 0.02:
+        mesh = result.mesh.with_parameters(_closed(plan, result.mesh.parameters))
+        result = replace(result, mesh=mesh)
+        distance, gradient = _nearest(hard, mesh.evaluate(elements, xi))
+        lack = np.clip(0.4 * MARGIN - distance, 0.0, 1.0)
+        if lack.max() < 0.03:
             break
-        targets += 1.5 * lack[:, None] * gradient
+        targets += 2.0 * lack[:, None] * gradient
     return result
 
 
