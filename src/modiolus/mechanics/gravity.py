@@ -4,11 +4,12 @@ A head measured lying on its back is not at rest: its tissue hangs towards the b
 Its shape without gravity is the one whose equilibrium under the weight is the measured shape. The
 fixed point
 
-    X_{k+1} = X_k - ω_k (x(X_k) - x_measured)
+    X_{k+1} = X_k - (x(X_k) - x_measured)
 
 finds it, where x(X) is the equilibrium of the reference shape X under the weight (Sellier 2011).
-The factor ω is 1 at first and then that of Irons and Tuck (1969): where soft tissue is squeezed
-between muscles, full steps overshoot.
+Where soft tissue is squeezed between muscles full steps overshoot, and where it is held they are
+too short; so each round combines the last ones such that their distances, combined alike, are
+least (Anderson 1965).
 """
 
 from __future__ import annotations
@@ -39,10 +40,11 @@ SUPINE = (0.0, 1.0, 0.0)
 UPRIGHT = (0.0, 0.0, -1.0)
 #: The weight's load.
 LOAD = Load(forces={"weight": 1.0})
-#: The rounds repeat what the continuation leaves open.
-TIGHT = Settings(tolerance=2e-5)
-#: Least and greatest factor of a round's correction.
-FACTORS = (0.3, 1.2)
+#: The rounds repeat what the continuation leaves open: an equilibrium within 0.001 mm needs
+#: this, and one that is found by its contacts' pressures would depend on the way to it.
+TIGHT = Settings(tolerance=1e-6, augmentations=0)
+#: How many rounds are combined with the last one at most.
+MEMORY = 5
 #: Rounds after which the fixed point is given up.
 MOST_ROUNDS = 15
 
@@ -103,8 +105,10 @@ def unloaded(
     """
     elements, xi, _ = shape.gauss_points(4)
     points = shape.functions(elements, xi)
-    reference, gaps, factor = shape, [], 1.0
-    before = None
+    reference, gaps = shape, []
+    # What the rounds before began with, and by how much they missed.
+    references: list[Array] = []
+    excesses: list[Array] = []
     for count in range(1, MOST_ROUNDS + 1):
         try:
             problem = build(reference)
@@ -125,12 +129,15 @@ def unloaded(
             )
         if gaps[-1] <= tolerance:
             return Unloaded(reference, state, gaps)
-        if before is not None:
-            change = gap - before
-            factor *= -float((before * change).sum() / (change**2).sum())
-            factor = float(np.clip(factor, *FACTORS))
-        before = gap
-        reference = reference.with_parameters(reference.parameters - factor * excess)
+        references = [*references, reference.parameters][-MEMORY - 1 :]
+        excesses = [*excesses, excess][-MEMORY - 1 :]
+        last = reference.parameters - excess
+        if len(excesses) > 1:
+            changes = [(points @ (excess - other)).ravel() for other in excesses[:-1]]
+            shares = np.linalg.lstsq(np.transpose(changes), gap.ravel(), rcond=1e-6)[0]
+            for share, began, other in zip(shares, references, excesses, strict=False):
+                last = last - share * (reference.parameters - began - (excess - other))
+        reference = reference.with_parameters(last)
     told = ", ".join(f"{gap:.3f}" for gap in gaps)
     raise SolveError(
         f"gravity: the rounds do not converge (distances {told} mm); allow a larger tolerance"
