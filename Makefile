@@ -1,6 +1,7 @@
 # Everything runs in .venv, which is created here and reused.
 #   make demo      a closed-mouth smile on the shipped head, into out/
 #   make test      the quick tests (a few minutes); test-all runs the slow ones too
+#   make tutorial  from a T1 image to a smile, as docs/tutorial.md has it
 #   make lint      style and types
 #   make bench     times of assembly, factorisation and whole expressions
 #   make peers     the same problems in other programs, side by side
@@ -12,7 +13,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint bench peers docs clean
+.PHONY: help demo test test-all tutorial lint bench peers docs clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -47,6 +48,12 @@ test: $(VENV)/.installed-dev
 
 test-all: $(VENV)/.installed-dev
 	@$(BIN)/python -m pytest -m "slow or not slow"
+
+# Of pydeface only an image is used: what it depends on is not installed.
+tutorial: $(VENV)/.installed-dev
+	@$(BIN)/python -c 'import importlib.util as u, sys; sys.exit(u.find_spec("pydeface") is None)' \
+		|| .ci/pip-install $(BIN)/python --no-deps 'pydeface>=2.1'
+	@$(BIN)/python -m pytest -s -m slow tests/test_tutorial.py
 
 lint: $(VENV)/.installed-dev
 	@$(BIN)/ruff check
