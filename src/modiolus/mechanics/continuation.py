@@ -34,7 +34,8 @@ class Settings:
     Attributes
     ----------
     tolerance : float
-        Root mean square of the displacement's correction in mm at which a step ends.
+        Root mean square of the displacement's correction in mm at which a step ends. The
+        pressures' is then below the same part of them, or of 1 kPa where they are less.
     passing : float
         The same for the steps before the last, whose only use is to begin the next one.
     first_step, least_step : float
@@ -397,7 +398,8 @@ class Continuation:
         """
         settings = self.settings
 
-        def enough(size: float, there: _Iterate) -> bool:
+        def enough(change: Array, there: _Iterate) -> bool:
+            size = max(self.problem.size(change), self._lag(change, there))
             if size >= settings.passing:
                 return size < tolerance
             return size < tolerance or self.problem.penetration(there.parameters, load) > overlap
@@ -488,7 +490,7 @@ class Continuation:
         here: _Iterate,
         change: Array,
         load: Load,
-        enough: Callable[[float, _Iterate], bool],
+        enough: Callable[[Array, _Iterate], bool],
     ) -> tuple[_Iterate, float, bool]:
         """Correct with the factors at hand as long as the corrections shrink by half.
 
@@ -510,7 +512,7 @@ class Continuation:
             if there is None:
                 return here, size, False
             self._iterations += 1
-            if enough(size, there):
+            if enough(past[-1], there):
                 return there, size, True
             change = -self.solver.solve(there.evaluation.residual)
             for one, other in pairwise(past):
@@ -521,6 +523,13 @@ class Continuation:
             change /= 1.0 - self._along(change, past[-1])
             past.append(change)
             here, size = there, self.problem.size(change)
+
+    def _lag(self, change: Array, there: _Iterate) -> float:
+        """Return the part of the pressures that a change has brought."""
+        n = self.problem.assembly.n_displacements
+        # Where there is hardly any pressure, less than 1 kPa of it is not worth an iteration.
+        whole = max(float(np.linalg.norm(there.pressure)), float(np.sqrt(len(change) - n)), 1e-30)
+        return float(np.linalg.norm(change[n:])) / whole
 
     def _along(self, change: Array, direction: Array) -> float:
         """Return the share of a direction that is in a change."""
