@@ -13,7 +13,7 @@ from modiolus.cli.outputs import whole_folder
 
 #: Activation at which a muscle shows what it does, by its kind: a sheet or a ring has many times
 #: the cross-section of a strap.
-ALONE = {"strap": 1.0, "sheet": 0.2, "ring": 0.1}
+ALONE = {"strap": 1.0, "sheet": 0.2, "ring": 0.15}
 
 
 @app.command(epilog="Example: modiolus catalogue --out out")

@@ -5,7 +5,7 @@ from .grid import assemble, bricks, grid, grid_connectivity, linear
 from .locate import Location
 from .mesh import HermiteMesh, outward
 from .mirror import MirroredMesh
-from .quadrature import Quadrature, gauss, lobatto
+from .quadrature import Quadrature, gauss, trapezoidal
 
 __all__ = [
     "HermiteMesh",
@@ -20,6 +20,6 @@ __all__ = [
     "grid",
     "grid_connectivity",
     "linear",
-    "lobatto",
     "outward",
+    "trapezoidal",
 ]

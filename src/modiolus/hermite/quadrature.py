@@ -30,10 +30,10 @@ def gauss(dim: int, n: int) -> tuple[Array, Array]:
     return _tensor(dim, *np.polynomial.legendre.leggauss(n))
 
 
-def lobatto(dim: int, n: int) -> tuple[Array, Array]:
-    """Return the tensor Gauss-Lobatto rule with ``n`` points a direction on [0, 1]^dim.
+def trapezoidal(dim: int, n: int) -> tuple[Array, Array]:
+    """Return the tensor trapezoidal rule with ``n`` points a direction on [0, 1]^dim.
 
-    It has points on the borders and is exact up to the power ``2 n - 3``.
+    They are evenly spread and reach the borders.
 
     Returns
     -------
@@ -49,9 +49,9 @@ def lobatto(dim: int, n: int) -> tuple[Array, Array]:
     """
     if dim < 1 or n < 2:
         raise InputError(f"rule: {n} points a direction in {dim}; give two of one at least")
-    last = np.polynomial.Legendre.basis(n - 1)
-    nodes = np.concatenate([[-1.0], np.sort(last.deriv().roots().real), [1.0]])
-    return _tensor(dim, nodes, 2.0 / (n * (n - 1) * last(nodes) ** 2))
+    weights = np.full(n, 2.0 / (n - 1))
+    weights[[0, -1]] *= 0.5
+    return _tensor(dim, np.linspace(-1.0, 1.0, n), weights)
 
 
 def _tensor(dim: int, nodes: Array, weights: Array) -> tuple[Array, Array]:

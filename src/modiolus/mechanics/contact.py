@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..hermite import HermiteMesh, gauss, lobatto
+from ..hermite import HermiteMesh, gauss, trapezoidal
 from .assembly import Pattern
 from .facing import Facing, Immersion, Pairs, Patches, Side
 from .laws import PAIRS, Array
@@ -170,8 +170,8 @@ class SurfaceContact(PointTerm):
         Depth in mm over which the stiffness grows to ε.
     points : (patches (n,), xi (n, 2), areas (n,)), optional
         Points of the slave, as indices into its elements and coordinates on their side;
-        by default 4 x 4 Gauss points or, with flanks, 5 x 5 Gauss-Lobatto points. `segments`
-        makes those that integrate the pressure exactly between meshes that do not match.
+        by default 4 x 4 Gauss points or, with flanks, 5 x 5 points of the trapezoidal rule.
+        `segments` makes those that integrate the pressure exactly between meshes that do not match.
     flanks : pair of sequences of (elements, axis, side), optional
         Other sides of the elements of slave and master. Those of the master end its body: points
         before them are outside it, and `update` chooses where a point is pushed out. Those of
@@ -205,7 +205,7 @@ class SurfaceContact(PointTerm):
         first, second = Patches.of(mesh, slave), Patches.of(mesh, master, *flanks[1])
         if points is None:
             # The edges of a body that has flanks are what may cut into another.
-            points = first.points(*(lobatto(2, 5) if flanks[1] else gauss(2, 4)))
+            points = first.points(*(trapezoidal(2, 5) if flanks[1] else gauss(2, 4)))
         self.onset = onset
         self.areas = np.asarray(points[2], dtype=float)
         self.stiffness = stiffness * self.areas

@@ -45,7 +45,7 @@ FREE = 0.5
 SETTLED = 1.0
 #: Distance (mm) from the edge to a flank over which points are let go that slide out there.
 EDGE = 0.15
-#: Widths of a patch beyond the border of a surface at which they are.
+#: Widths of a patch beyond the border of a surface at which points are let go.
 FADE = 0.5
 
 
@@ -553,8 +553,8 @@ class Facing:
         each = np.arange(len(gap))
         outside = np.where(found.host >= 0, found.outside, 0.0)[each, self._part]
         gap[each, self._part] = -np.inf
-        before = np.clip(-gap.max(axis=1) / EDGE, 0.0, 1.0)
-        self.share = before * np.maximum(1.0 - outside / FADE, 0.0)
+        behind = np.clip(-gap.max(axis=1) / EDGE, 0.0, 1.0)
+        self.share = behind * np.maximum(1.0 - outside / FADE, 0.0)
 
     def project(self, parameters: Array) -> Projection:
         """Find the closest point of the part of the master that pushes each point out."""
