@@ -15,6 +15,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -39,14 +40,15 @@ def base(folder: Path) -> tuple[np.ndarray, np.ndarray]:
             group = words[0]
         elif kind == "f" and group == "body":
             a, *others = (int(word.split("/")[0]) - 1 for word in words)
-            faces += [(a, b, c) for b, c in zip(others, others[1:], strict=False)]
+            faces += [(a, b, c) for b, c in pairwise(others)]
     return np.array(vertices), np.array(faces)
 
 
 def target(folder: Path, name: str, count: int) -> np.ndarray:
     """Return the shift (count, 3) of every vertex in a target."""
     out = np.zeros((count, 3))
-    text = gzip.open(folder / "targets" / "macrodetails" / f"{name}.target.gz", "rt").read()
+    path = folder / "targets" / "macrodetails" / f"{name}.target.gz"
+    text = gzip.decompress(path.read_bytes()).decode()
     rows = [line.split() for line in text.splitlines() if line and not line.startswith("#")]
     table = np.array(rows, dtype=float).reshape(-1, 4)
     out[table[:, 0].astype(int)] = table[:, 1:]
