@@ -47,6 +47,9 @@ _REACH = 20.0
 _FACING = 0.2
 #: Near a slit a unit of difference between normals weighs as much as this distance (mm).
 _TURN = 6.0
+#: Squared distance of unit normals up to which they count as alike: 60 degrees, for at the edge of
+#: skin and lid the normal of a vertex is between those of both.
+_ALIKE = 1.0
 #: Divisions of an element for the search that the exact projection begins with.
 _DIVISIONS = 6
 
@@ -360,14 +363,15 @@ class _Half:
             return cells, places
         for side in range(1, 5):
             apart = ((normals - self.half.normals[cells]) ** 2).sum(axis=1)
-            rows = np.flatnonzero((skin.side[skin.cell_element[cells]] == side) & (apart > 0.5))
+            rows = np.flatnonzero((skin.side[skin.cell_element[cells]] == side) & (apart > _ALIKE))
             if not len(rows):
                 continue
             other, kept = self._surface_without(side)
             second = other.closest(points[rows])
-            cost = ((points[rows] - places[rows]) ** 2).sum(axis=1) + _TURN**2 * apart[rows]
+            cost = ((points[rows] - places[rows]) ** 2).sum(axis=1)
+            cost += _TURN**2 * (apart[rows] - _ALIKE)
             turned = ((normals[rows] - other.normals[second.faces]) ** 2).sum(axis=1)
-            rival = second.distance**2 + _TURN**2 * turned
+            rival = second.distance**2 + _TURN**2 * np.maximum(turned - _ALIKE, 0.0)
             better = rival < cost
             cells[rows[better]] = kept[second.faces[better]]
             places[rows[better]] = second.points[better]
