@@ -126,9 +126,7 @@ def simpleitk() -> Any:
     try:
         import SimpleITK
     except ImportError:
-        raise InputError(
-            "images: SimpleITK is not installed; run: pip install simpleitk"
-        ) from None
+        raise InputError("images: SimpleITK is not installed; run: pip install simpleitk") from None
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
     return SimpleITK
 
