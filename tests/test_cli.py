@@ -68,6 +68,8 @@ def test_help_has_an_example(run, command):
     [
         (["simulat"], ["simulate"]),
         (["simulate"], ["EXPRESSION"]),
+        (["identify", "--head", "ict", "--scan", "face.ply", "--muscles", ","], ["--muscles"]),
+        (["validate", ".", "--activations", ","], ["--activations", "table2"]),
         (["simulate", "smile-close"], ["smile-close", "did you mean smile-closed"]),
         (["simulate", "gone.toml"], ["gone.toml", "cannot be read"]),
         (["simulate", "smile-closed", "--head", "tara"], ["tara", "taro"]),

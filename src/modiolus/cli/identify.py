@@ -19,6 +19,7 @@ from modiolus.cli.compare import (
     text_table,
 )
 from modiolus.cli.outputs import whole_folder
+from modiolus.errors import InputError
 from modiolus.progress import Progress
 
 
@@ -66,6 +67,8 @@ def identify(
     known_unit(unit)
     chosen = Head.load(head)
     free = list(chosen.muscles) if muscles == "all" else muscle_set(_names(muscles), chosen)
+    if not free:
+        raise InputError("--muscles: none given; name some, an expression, or all")
     expected = muscle_set(_names(prior), chosen) if prior else []
     measured = read_scan(scan)
     resting = None if neutral is None else read_scan(neutral)

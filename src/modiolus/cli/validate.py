@@ -76,6 +76,8 @@ def validate(
     for way in ways:
         if way not in WAYS:
             raise unknown_name("way", way, WAYS)
+    if not ways:
+        raise InputError(f"--activations: none given; choose from {', '.join(WAYS)}")
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name one with neutral.ply in it")
     files = _surfaces(folder)
