@@ -68,9 +68,6 @@ def test_a_face_is_recovered_from_lying(block_head: Head) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="0.037 mm root mean square, but up to 0.58 mm at single points; docs/exchange.md",
-)
 def test_taro_is_recovered_from_lying() -> None:
     recovered(Head.load("taro"), DENSITY, moved=0.4, within=0.05)
 
