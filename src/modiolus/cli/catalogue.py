@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 
 #: Activation at which a muscle shows what it does, by its kind: a sheet or a ring has many times
 #: the cross-section of a strap.
@@ -61,6 +60,6 @@ def catalogue(
                 "report": str(target / "report.json"),
             },
         }
-        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(folder, record)
     text = f"{len(runs)} muscles.\nPicture: {target / page.name}\nReport:  {target / 'report.json'}"
     show(record, text, as_json, quiet)

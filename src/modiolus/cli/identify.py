@@ -18,7 +18,7 @@ from modiolus.cli.compare import (
     describe_measures,
     text_table,
 )
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.progress import Progress
 
@@ -160,7 +160,7 @@ def identify(
             ],
             [("error maps", folder / "compare.png")],
         )
-        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(folder, record)
     files = record["files"]
     show(
         record,

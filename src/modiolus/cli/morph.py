@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import shutil
 import sys
@@ -14,7 +13,7 @@ import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError, SolveError, unknown_name
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -131,7 +130,7 @@ def morph(
             "gates": verdicts,
             "files": {"folder": str(out)},
         }
-        (folder / "report.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        write_report(folder, record)
     text = f"{quality_text(quality)}\n\nHead: {out}"
     text += f"\nUse it with: modiolus simulate smile-closed --head {out}"
     show(record, text, as_json, quiet)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +10,7 @@ import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.progress import Progress
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ def segment(
         }
         for name, surface in surfaces.items():
             _write_ply(folder / f"{name}.ply", surface)
-        _write_report(folder, record)
+        write_report(folder, record)
     text = "\n".join(
         f"{name}: {item['volume_mm3'] / 1000.0:.2f} cm³"
         for name, item in record["structures"].items()
@@ -141,7 +140,7 @@ def _skin(path: Path, out: Path, as_json: bool, quiet: bool) -> None:
                 "slices": str(out / "slices.png"),
             },
         }
-        _write_report(folder, record)
+        write_report(folder, record)
     show(record, _text(record, image, face), as_json, quiet)
 
 
@@ -188,7 +187,3 @@ def _write_ply(path: Path, surface: Surface) -> None:
 
     mesh = pv.PolyData.from_regular_faces(surface.vertices.astype(np.float32), surface.faces)
     mesh.save(path, binary=True)
-
-
-def _write_report(folder: Path, record: Mapping[str, Any]) -> None:
-    (folder / "report.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

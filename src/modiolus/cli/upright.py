@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -96,7 +95,7 @@ def upright(
                 "report": str(out / "report.json"),
             },
         }
-        (folder / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(folder, record)
     far = max(landmarks, key=lambda key: float(np.linalg.norm(landmarks[key]["upright"])))
     text = (
         f"{name}: {len(found.gaps)} rounds, equilibrium lying within {found.gaps[-1]:.3f} mm of "

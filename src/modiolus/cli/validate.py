@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +12,7 @@ import typer
 from modiolus.cli.app import Json, Out, Quiet, app, show
 from modiolus.cli.compare import Landmarks, Unit, text_table
 from modiolus.cli.identify import expression_toml, identified
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError, SolveError, unknown_name
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -136,7 +135,7 @@ def validate(
             },
         }
         text = table.write_page(draft / "validate.html")
-        (draft / "report.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_report(draft, record)
     page = record["files"]["page"]
     show(record, f"{text}\n\nPage: {page}", as_json, quiet)
     failed = [row["expression"] for row in table.rows if row["rms_mm"] is None]

@@ -344,20 +344,15 @@ class Patches:
     @classmethod
     def of(cls, mesh: HermiteMesh, *sides: Side) -> Patches:
         """Take sides of elements of a volume mesh; see `HermiteMesh.face`."""
-        faces = [mesh.face(*side) for side in sides]
-        counts = [face.n_elements for face in faces]
-        extraction = sp.csr_matrix(sp.vstack([face.extraction for face in faces]))
-        surface = HermiteMesh(2, mesh.parameters, extraction)
+        surface, outward = mesh.boundary(sides)
         hosts = np.repeat(np.arange(surface.n_elements), 16)
-        pattern = Pattern.from_functions(extraction, hosts, surface.n_elements)
-        # The tangents of a face are those of the two other directions in ascending order.
-        outward = [(1.0 if end else -1.0) * (-1.0 if axis == 1 else 1.0) for _, axis, end in sides]
+        pattern = Pattern.from_functions(surface.extraction, hosts, surface.n_elements)
         return cls(
             surface,
-            np.repeat(outward, counts),
-            np.repeat(np.arange(len(sides)), counts),
+            outward.astype(float),
+            np.repeat(np.arange(len(sides)), [len(elements) for elements, _, _ in sides]),
             pattern,
-            pattern.dense(extraction, hosts).reshape(len(pattern.params), 16, -1),
+            pattern.dense(surface.extraction, hosts).reshape(len(pattern.params), 16, -1),
         )
 
     def points(self, unit: Array, weights: Array) -> tuple[IntArray, Array, Array]:

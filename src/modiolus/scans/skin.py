@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..anatomy.surface import Surface
@@ -138,17 +137,7 @@ class Skin:
         self.head = head
         names = ["outer", "lip_upper", "lip_lower", "lid_upper", "lid_lower"]
         sides = [head.sides[name] for name in names]
-        faces = [head.tissue.face(*side) for side in sides]
-        # In the faces across xi2 the local directions xi1 and xi3 are left-handed about xi2.
-        outward = np.concatenate(
-            [
-                np.full(face.n_elements, (1 if side else -1) * (-1 if axis == 1 else 1))
-                for face, (_, axis, side) in zip(faces, sides, strict=True)
-            ]
-        )
-        rows = sp.csr_matrix(sp.vstack([face.extraction for face in faces]))
-        self.mesh = HermiteMesh(2, head.tissue.parameters, rows)
-        self.outward = outward
+        self.mesh, self.outward = head.tissue.boundary(sides)
         hosts = np.concatenate([elements for elements, _, _ in sides])
         self.region = _region_grid()[hosts % (ROWS * COLUMNS)]
         self.zone = _still_grid()[hosts % (ROWS * COLUMNS)]
@@ -160,7 +149,7 @@ class Skin:
             further = beside + (COLUMNS if head.sides[name][2] == 0 else -COLUMNS)
             near = np.isin(hosts, np.concatenate([beside, further])) & (margin == 0)
             self.side[near | (margin == number)] = number
-        self.pieces = tessellate(self.mesh, _DIVISIONS, outward)
+        self.pieces = tessellate(self.mesh, _DIVISIONS, self.outward)
         self._prepare()
 
     def _prepare(self) -> None:
