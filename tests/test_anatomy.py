@@ -85,6 +85,8 @@ def test_samples_lie_on_the_surface_and_cover_it_evenly():
     assert_allclose(surface.closest(points).distance, 0.0, atol=1e-12)
     assert_allclose(points[np.isclose(points[:, 2], 4.0)].mean(axis=0), [1, 1.5, 4], atol=0.02)
     assert_array_equal(points, surface.samples(0.1))
+    with pytest.raises(InputError, match="spacing 0"):
+        surface.samples(0.0)
 
 
 def test_reader_reads_what_was_written(tmp_path):

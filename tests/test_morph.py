@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from modiolus.anatomy import Surface, read_surface
 from modiolus.cli import _run
-from modiolus.cli.morph import read_landmarks
 from modiolus.errors import InputError
 from modiolus.face.head import Head, head_names
+from modiolus.face.landmarks import read_landmarks
 from modiolus.face.margins import find_margins
 from modiolus.face.morph import (
     align,
@@ -140,10 +140,12 @@ def test_a_flat_sheet_has_no_margins() -> None:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("x,y,z\n1,2,3\n", "no column"),
+        ("x,y,z\n1,2,3\n", "line 2 has no name"),
         ("name,x,y,z\nmouth_corner_left,1,2,3\n", "at least three"),
         ("name,x,y,z\nmouth_corner_lft,1,2,3\n", "mouth_corner_left"),
         ("name,x,y,z\nmouth_corner_left,1,2,nan\n", "line 2"),
+        ("multi_pie_index,x,y,z\n1,1,2,3\n49,1,2,3\n", "1 landmarks"),
+        ("\ufeffname, x_mm, y_mm, z_mm\nchin, 1, 2, 3\n", "1 landmarks"),
     ],
 )
 def test_landmarks_are_checked(tmp_path: Path, taro: Head, text: str, fault: str) -> None:

@@ -13,6 +13,7 @@ from modiolus.anatomy.surface import Surface
 from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.face.head import Head
+from modiolus.face.landmarks import read_landmarks
 from modiolus.fitting.register import Registration
 from modiolus.mechanics import (
     Continuation,
@@ -23,7 +24,7 @@ from modiolus.mechanics import (
     clamp,
 )
 from modiolus.scans import read_scan
-from modiolus.scans.align import align_to_neutral, place, read_landmarks, register_scan
+from modiolus.scans.align import align_to_neutral, place, register_scan
 from modiolus.scans.compare import compare, figures
 from modiolus.scans.identify import (
     _certainty,

@@ -272,7 +272,14 @@ class Surface:
         -------
         (n, 3) array
             Points in the triangles, placed by a low-discrepancy sequence.
+
+        Raises
+        ------
+        InputError
+            The spacing is not above 0.
         """
+        if not spacing > 0.0:
+            raise InputError(f"spacing {spacing:g}: no length; give one above 0")
         n = max(1, round(self.area / spacing**2))
         edges = np.concatenate([[0.0], np.cumsum(self.areas)])
         places = (np.arange(n) + 0.5) / n * edges[-1]

@@ -61,7 +61,8 @@ def compare(
     target = out or result / f"compare-{scan.stem}"
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.export.scene import FaceScene
-        from modiolus.scans.align import place, read_landmarks
+        from modiolus.face.landmarks import read_landmarks
+        from modiolus.scans.align import place
         from modiolus.scans.compare import compare as measure
         from modiolus.scans.skin import Skin
         from modiolus.view.compare import (

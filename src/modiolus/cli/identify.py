@@ -75,8 +75,9 @@ def identify(
     target = out / f"identify-{scan.stem}"
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.export.scene import FaceScene
+        from modiolus.face.landmarks import read_landmarks
         from modiolus.mechanics.face import face_problem
-        from modiolus.scans.align import place, read_landmarks
+        from modiolus.scans.align import place
         from modiolus.scans.compare import compare as measure
         from modiolus.scans.identify import identify as search
         from modiolus.scans.result import STATE_FILE, save_state

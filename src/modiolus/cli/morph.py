@@ -2,40 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
 from modiolus.cli.outputs import whole_folder, write_report
-from modiolus.errors import InputError, SolveError, unknown_name
+from modiolus.errors import InputError, SolveError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
-
-if TYPE_CHECKING:
-    from modiolus.face.head import Head
-
-#: Landmarks of a head by their number among the 68 of Multi-PIE.
-MULTI_PIE = {
-    "18": "outer_brow_right",
-    "22": "inner_brow_right",
-    "23": "inner_brow_left",
-    "27": "outer_brow_left",
-    "32": "ala_right",
-    "36": "ala_left",
-    "49": "mouth_corner_right",
-    "55": "mouth_corner_left",
-    "63": "upper_lip_mid",
-    "67": "lower_lip_mid",
-}
-#: A file of landmarks larger than this (bytes) is none.
-_LARGEST = 2**20
 
 
 @app.command(
@@ -77,6 +56,7 @@ def morph(
     """
     from modiolus.anatomy.surface import read_surface
     from modiolus.face.head import Head
+    from modiolus.face.landmarks import read_landmarks
     from modiolus.face.morph import gates, morph_head, quality_text
 
     source = Head.load(head)
@@ -134,51 +114,3 @@ def morph(
     text = f"{quality_text(quality)}\n\nHead: {out}"
     text += f"\nUse it with: modiolus simulate smile-closed --head {out}"
     show(record, text, as_json, quiet)
-
-
-def read_landmarks(path: Path, head: Head) -> tuple[np.ndarray, np.ndarray]:
-    """Read landmarks of a surface and pair them with those of a head.
-
-    Returns
-    -------
-    surface, head : (n, 3) arrays
-        The same landmarks on the surface, in its own frame, and on the head.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or has fewer than three landmarks that the head knows.
-    """
-    known = head.landmark_points()
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path}: too large for a table of landmarks; give another file")
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a table of text; write it as CSV") from error
-    here, there = [], []
-    for number, row in enumerate(rows, start=2):
-        numbered = "multi_pie_index" in row
-        name = row.get("multi_pie_index") if numbered else row.get("name")
-        if name is None:
-            raise InputError(f"{path}: no column 'name' nor 'multi_pie_index'; add one")
-        name = name.strip()
-        if numbered:
-            if name not in MULTI_PIE:
-                continue
-            name = MULTI_PIE[name]
-        if name not in known:
-            raise unknown_name("landmark", name, known)
-        try:
-            point = [float(row.get(axis) or row[f"{axis}_mm"]) for axis in "xyz"]
-        except (KeyError, TypeError, ValueError):
-            point = [math.nan]
-        if not np.isfinite(point).all():
-            raise InputError(f"{path}: line {number} has no numbers x, y and z; mend it")
-        here.append(point)
-        there.append(known[name])
-    if len(here) < 3:
-        raise InputError(f"{path}: {len(here)} landmarks that the head knows; give at least three")
-    return np.array(here), np.array(there)

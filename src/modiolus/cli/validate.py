@@ -95,8 +95,9 @@ def validate(
     target = out / f"validate-{subject}"
     chosen = Head.load(head or "taro")
     with whole_folder(target, marker="report.json") as draft:
+        from modiolus.face.landmarks import read_landmarks
         from modiolus.face.morph import morph_head
-        from modiolus.scans.align import Alignment, align_to_neutral, read_landmarks, register_scan
+        from modiolus.scans.align import Alignment, align_to_neutral, register_scan
         from modiolus.scans.skin import Skin
 
         quality = None

@@ -19,8 +19,10 @@ from ..hermite.basis import Array
 
 Bools = NDArray[np.bool_]
 
-#: Millimetres of the units that scans come in: mm, cm, m.
-UNITS = (1.0, 10.0, 1000.0)
+#: Millimetres in a unit of length that a scanner may write.
+UNITS = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
+#: Those that a scan may be in without a word: half a face in cm has the size of a face in inches.
+_USUAL = (UNITS["mm"], UNITS["cm"], UNITS["m"])
 #: Scale between two heads that is believed (a child's and a large man's).
 SCALES = (0.7, 1.45)
 #: Points of each surface in the search from many starts, and in the refinement.
@@ -324,7 +326,7 @@ def register(
     moving, fixed = Matcher(surface, _FINE), Matcher(target, _FINE)
     if landmarks is not None:
         start = similarity(*landmarks)
-        unit = min(UNITS, key=lambda value: abs(np.log(start.scale / value)))
+        unit = min(_USUAL, key=lambda value: abs(np.log(start.scale / value)))
         scale = start.scale if scaled else unit
         here, there = (np.asarray(points, dtype=float).mean(axis=0) for points in landmarks)
         starts = [
@@ -374,7 +376,7 @@ def _score(pose: Registration, moving: Matcher, fixed: Matcher, weights: Array) 
 def guess_unit(surface: Surface, target: Surface) -> float:
     """Return the millimetres of a surface's unit that make its size most like the target's."""
     size, wanted = (float(np.linalg.norm(np.ptp(s.bounds, axis=0))) for s in (surface, target))
-    return min(UNITS, key=lambda unit: abs(np.log(unit * size / wanted)))
+    return min(_USUAL, key=lambda unit: abs(np.log(unit * size / wanted)))
 
 
 def _search(moving: Matcher, fixed: Matcher, scaled: bool) -> list[Registration]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, SolveError
-from ..face.head import Head
-from ..fitting.register import Registration, icp, register
-from .scan import UNITS, Scan
+from ..fitting.register import UNITS, Registration, icp, register
+from .scan import Scan
 from .skin import STILL_ZONES, Skin
 
-__all__ = ["Alignment", "align", "align_to_neutral", "place", "read_landmarks", "register_scan"]
+__all__ = ["Alignment", "align", "align_to_neutral", "place", "register_scan"]
 
 Array = NDArray[np.float64]
 
@@ -25,13 +22,6 @@ Array = NDArray[np.float64]
 _WORST_RMS, _LEAST_MATCHED = 6.0, 0.25
 #: Sizes of a head relative to ours that are believed.
 _SIZES = (0.7, 1.4)
-#: Places of the head among the 68 points of Multi-PIE.
-_MULTI_PIE = {
-    **{"49": "mouth_corner_right", "55": "mouth_corner_left"},
-    **{"63": "upper_lip_mid", "67": "lower_lip_mid"},
-    **{"22": "inner_brow_right", "23": "inner_brow_left"},
-    **{"18": "outer_brow_right", "27": "outer_brow_left"},
-}
 #: A still zone with fewer points says nothing.
 _FEWEST = 30
 #: A pose that leaving out a zone moves by more (mm) is not believed.
@@ -116,57 +106,6 @@ def place(
     pose = register_scan(neutral, skin, unit, landmarks)
     alignment = align_to_neutral(scan, neutral, skin, pose)
     return scan.placed(alignment.pose), neutral.placed(pose), alignment
-
-
-def read_landmarks(path: str | Path, head: Head) -> tuple[Array, Array]:
-    """Read places on a scan and match them with those of a head.
-
-    Parameters
-    ----------
-    path : path
-        A CSV file with a heading: ``name, x, y, z`` with the names of `Head.landmark_points`, or
-        ``multi_pie_index, x, y, z`` with the 68 points of Multi-PIE. Coordinates may also be
-        called ``x_mm`` and so on; other columns are ignored.
-    head : Head
-
-    Returns
-    -------
-    scan, head : (n, 3) arrays
-        In the scan's unit and frame, and in the head's.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or names fewer than three places of the head.
-    """
-    path = Path(path)
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file, skipinitialspace=True))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); name a CSV file") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a CSV file ({error}); mend it") from None
-    known = head.landmark_points()
-    scan, there = [], []
-    for number, row in enumerate(rows, 2):
-        name = row.get("name") or _MULTI_PIE.get((row.get("multi_pie_index") or "").strip(), "")
-        if name not in known:
-            continue
-        try:
-            point = [float(row.get(axis) or row.get(f"{axis}_mm") or "") for axis in "xyz"]
-        except ValueError:
-            raise InputError(f"{path}: line {number} has no x, y, z; mend it") from None
-        if not np.isfinite(point).all():
-            raise InputError(f"{path}: line {number} is not finite; mend it")
-        scan.append(point)
-        there.append(known[name])
-    if len(scan) < 3:
-        raise InputError(
-            f"{path}: {len(scan)} places of the head; name at least three, such as "
-            f"{', '.join(list(known)[:3])}"
-        )
-    return np.array(scan), np.array(there)
 
 
 def register_scan(

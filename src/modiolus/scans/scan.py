@@ -14,14 +14,11 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from ..anatomy.surface import Surface, read_surface
 from ..errors import InputError, unknown_name
-from ..fitting.register import Registration
+from ..fitting.register import UNITS, Registration
 
-__all__ = ["UNITS", "Scan", "known_unit", "read_scan"]
+__all__ = ["Scan", "known_unit", "read_scan"]
 
 Array = NDArray[np.float64]
-
-#: Millimetres in a unit of length that a scanner may write.
-UNITS = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
 
 #: Files larger than this (bytes) and scans of more points are refused: memory stays bounded.
 _LARGEST_FILE = 2**30
