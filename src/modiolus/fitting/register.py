@@ -326,7 +326,7 @@ def register(
     moving, fixed = Matcher(surface, _FINE), Matcher(target, _FINE)
     if landmarks is not None:
         start = similarity(*landmarks)
-        unit = min(_USUAL, key=lambda value: abs(np.log(start.scale / value)))
+        unit = min(UNITS.values(), key=lambda value: abs(np.log(start.scale / value)))
         scale = start.scale if scaled else unit
         here, there = (np.asarray(points, dtype=float).mean(axis=0) for points in landmarks)
         starts = [
