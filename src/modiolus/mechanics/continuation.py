@@ -304,16 +304,38 @@ class Continuation:
         (n_params, 3, k) array
             In mm.
         """
+        return self.answers(self.problem.activation_slopes(self.state.parameters, muscles))
+
+    def answers(self, slopes: Array, held: Array | None = None) -> Array:
+        """Return the derivatives of the present state's parameters by whatever changes it.
+
+        ``dU/dp = -K⁻¹ (∂R/∂p + K dU_h/dp)`` with the fixed parameters ``U_h``.
+
+        Parameters
+        ----------
+        slopes : (n, k) array
+            Derivatives of the residual at fixed deformation.
+        held : (n_params, 3, k) array, optional
+            Derivatives of the fixed parameters, 0 at those that are free.
+
+        Returns
+        -------
+        (n_params, 3, k) array
+            In mm.
+        """
         problem, state = self.problem, self.state
         problem.update(state.parameters)
         self._factorise(state.parameters, state.pressure, state.load)
-        slopes = problem.activation_slopes(state.parameters, muscles)
+        equations = problem.assembly.equations
+        out = np.zeros((*equations.shape, slopes.shape[1]))
+        if held is not None:
+            out += held
+            moved = [problem.assembly.multiply(part) for part in np.moveaxis(held, 2, 0)]
+            slopes = slopes + np.stack(moved, axis=1)
         change = -self.solver.solve(slopes)
         # Once more for what factors of single precision have left over.
         change -= self.solver.solve(slopes + symmetric_product(problem.tangent(), change))
-        change = change.reshape(-1, len(muscles))
-        equations = problem.assembly.equations
-        out = np.zeros((*equations.shape, len(muscles)))
+        change = change.reshape(slopes.shape)
         out[equations >= 0] = change[equations[equations >= 0]]
         return out
 

@@ -32,6 +32,10 @@ class FaceSettings:
     ----------
     muscle : str
         Parameter set of passive muscle, see `modiolus.mechanics.laws.MUSCLE`.
+    passive : float
+        Factor of the stiffness of passive muscle.
+    fat : float
+        Factor of the stiffness of fat, see `modiolus.mechanics.laws.FAT`.
     sigma_max : float
         Greatest active fibre stress (kPa), Blemker et al. 2005.
     kappa : float
@@ -51,6 +55,8 @@ class FaceSettings:
     """
 
     muscle: str = "wu2013"
+    passive: float = 1.0
+    fat: float = 1.0
     sigma_max: float = 300.0
     kappa: float = 80.0
     modiolus: float = 30.0
@@ -248,14 +254,6 @@ def face_problem(
     """
     settings = FaceSettings() if settings is None else settings
     mesh = head.tissue
-    order = settings.gauss_order
-    fraction, firmness = (at_gauss(values, order) for values in (head.fraction, head.firmness))
-    if settings.muscle not in MUSCLE:
-        raise unknown_name("passive muscle", settings.muscle, MUSCLE)
-    coefficients = mix(fraction, MUSCLE[settings.muscle], FAT)
-    coefficients[..., 0] += settings.skin * skin_share(head, order)
-    knot = firmness[..., None]
-    coefficients = (1.0 - knot) * coefficients + knot * np.array([settings.modiolus, 0.0, 0.0])
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
     if head.half is None:
         fixed |= symmetry_plane(mesh, *head.sides["midplane"])
@@ -265,13 +263,45 @@ def face_problem(
     acting += [*_deep_contacts(head, settings, measured), *_slit_contacts(head, settings)]
     return Problem(
         mesh,
-        coefficients,
+        tissue(head, settings),
         kappa=settings.kappa,
-        gauss_order=order,
+        gauss_order=settings.gauss_order,
         terms=acting,
         fixed=fixed,
         places=head.landmark_points(),
     )
+
+
+def other_tissue(problem: Problem, head: Head, settings: FaceSettings) -> Problem:
+    """Return a head's problem with the tissue and the greatest stress of other settings.
+
+    It shares with the given one all that depends on the shape, see `Problem.varied`.
+    """
+    return problem.varied(tissue(head, settings), FibreLaw(sigma_max=settings.sigma_max))
+
+
+def tissue(head: Head, settings: FaceSettings) -> Array:
+    """Return the coefficients of fat, muscle, skin and modiolus at the Gauss points.
+
+    Returns
+    -------
+    (n_elements, q, 3) array
+        ``(c10, c01, c20)`` in kPa, linear in `passive`, `fat`, `skin` and `modiolus`.
+
+    Raises
+    ------
+    InputError
+        The parameter set of passive muscle is not known.
+    """
+    order = settings.gauss_order
+    fraction, firmness = (at_gauss(values, order) for values in (head.fraction, head.firmness))
+    if settings.muscle not in MUSCLE:
+        raise unknown_name("passive muscle", settings.muscle, MUSCLE)
+    muscle, fat = MUSCLE[settings.muscle].times(settings.passive), FAT.times(settings.fat)
+    coefficients = mix(fraction, muscle, fat)
+    coefficients[..., 0] += settings.skin * skin_share(head, order)
+    knot = firmness[..., None]
+    return np.asarray((1.0 - knot) * coefficients + knot * np.array([settings.modiolus, 0.0, 0.0]))
 
 
 def skin_share(head: Head, gauss_order: int = GAUSS) -> Array:

@@ -100,6 +100,11 @@ class Coefficients:
         """Return ``(c10, c01, c20)``."""
         return np.array([self.c10, self.c01, self.c20])
 
+    def times(self, factor: float) -> Coefficients:
+        """Return those of a tissue that is stiffer by a factor."""
+        c10, c01, c20 = (factor * self.array()).tolist()
+        return Coefficients(c10, c01, c20, f"{factor:g} times: {self.source}")
+
 
 #: Subcutaneous fat.
 FAT = Coefficients(0.42, 0.0, 0.0, "Tran et al. 2007, hypodermis, C10 = 0.42 ± 0.05 kPa")

@@ -15,7 +15,7 @@ from ..hermite import HermiteMesh, basis, gauss
 from ..hermite.check import numbers
 from . import kernels
 from .assembly import Assembly, Pattern
-from .laws import WIDTHS, Array, Formulation, Law, Volume
+from .laws import WIDTHS, Array, FibreLaw, Formulation, Law, Volume
 from .terms import Fibres, Load, PointTerm, by_host
 
 IntArray = NDArray[np.int64]
@@ -515,6 +515,34 @@ class Problem:
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest interpenetration of any contact in mm."""
         return max((term.penetration(parameters, load) for term in self.terms), default=0.0)
+
+    def varied(self, coefficients: ArrayLike, fibres: FibreLaw) -> Problem:
+        """Return the problem with other coefficients and another law of its fibres.
+
+        It shares all other arrays with this one, those that the evaluation fills as well.
+
+        Parameters
+        ----------
+        coefficients : (n_elements, q, 3) array
+            As in the constructor.
+        fibres : FibreLaw
+        """
+        other = copy(self)
+        given = numbers("coefficients", coefficients, *self._coefficients.shape)
+        other._coefficients = np.ascontiguousarray(given)
+        changed: dict[PointTerm, PointTerm] = {}
+        for term in self.terms:
+            changed[term] = term
+            if isinstance(term, Fibres):
+                changed[term] = fibre = copy(term)
+                fibre.law = fibres
+        other.terms = tuple(changed.values())
+        other._groups = {changed[term]: group for term, group in self._groups.items()}
+        other._batches = [
+            replace(batch, members=[(changed[term], points) for term, points in batch.members])
+            for batch in self._batches
+        ]
+        return other
 
     def part(self, terms: Sequence[PointTerm]) -> Problem:
         """Return the problem of the passive tissue and some of the terms.
