@@ -5,8 +5,14 @@ subject's left, +y backwards and +z up. The subpackages are imported when they a
 ``import modiolus`` is quick.
 """
 
+import os
 from importlib.metadata import version
 
 __all__ = ["__version__"]
 
 __version__ = version("modiolus")
+
+# Read when the threads of MKL and of Numba's loops start: by default those that wait spin, and
+# take the processor from the others' work.
+for _name, _value in {"KMP_BLOCKTIME": "0", "OMP_WAIT_POLICY": "PASSIVE"}.items():
+    os.environ.setdefault(_name, _value)
