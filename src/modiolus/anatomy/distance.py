@@ -340,16 +340,22 @@ def distances_in_band(
     -------
     array of that shape
     """
-    step = max(1, round(0.6 * band / spacing))
+    step = max(1, round(0.3 * band / spacing))
     coarse_shape = -(-(shape - 1) // step) + 1
     coarse = surface.signed_distance(_grid_points(origin, spacing * step, coarse_shape))
     fine_shape = (coarse_shape - 1) * step + 1
     guess = zoom(coarse.reshape(coarse_shape), fine_shape / coarse_shape, order=1)
     guess = guess[: shape[0], : shape[1], : shape[2]].ravel()
-    # A distance has slope one, so that linear interpolation errs by less than a cell's diagonal.
-    near = np.abs(guess) < band + spacing * step * np.sqrt(3.0)
+    # A distance has slope one, so that interpolation within a cell errs by half its diagonal at
+    # most: where that is less than the guess, its sign is right.
+    doubt = 0.5 * np.sqrt(3.0) * spacing * step
+    near = np.flatnonzero(np.abs(guess) < band + doubt)
     values = np.sign(guess) * band
-    values[near] = surface.signed_distance(_grid_points(origin, spacing, shape)[near])
+    points = _grid_points(origin, spacing, shape)[near]
+    sign = np.sign(guess[near])
+    unsure = np.abs(guess[near]) <= doubt
+    sign[unsure] = np.where(surface.contains(points[unsure]), -1.0, 1.0)
+    values[near] = sign * surface.closest(points).distance
     return np.asarray(np.clip(values, -band, band).reshape(shape))
 
 

@@ -13,8 +13,9 @@ from scipy.sparse.linalg import splu
 from ..anatomy.surface import Surface
 from ..errors import InputError, SolveError
 from ..hermite import HermiteMesh
-from ..hermite.basis import Array
+from ..hermite.basis import Array, basis
 from ..hermite.check import numbers
+from ..hermite.quadrature import gauss
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +201,7 @@ def sobolev(mesh: HermiteMesh, smoothing: Smoothing) -> sp.csr_matrix:
     InputError
         There are not as many weights as derivatives (or elements), or one is below 0.
     """
-    elements, xi, weights = mesh.gauss_points(smoothing.points)
-    weights = weights * _weights("stiffness", smoothing.stiffness, mesh.n_elements)[elements]
+    xi, weights = gauss(mesh.dim, smoothing.points)
     first, second = _derivative_orders(mesh.dim)
     factors = np.concatenate(
         [
@@ -209,12 +209,19 @@ def sobolev(mesh: HermiteMesh, smoothing: Smoothing) -> sp.csr_matrix:
             _weights("second", smoothing.second, len(second)),
         ]
     )
-    total = sp.csr_matrix((mesh.n_params, mesh.n_params))
+    # The unit cell is the same for all elements, and so is the penalty over local parameters.
+    size = 4**mesh.dim
+    cell = np.zeros((size, size))
     for orders, factor in zip([*first, *second], factors, strict=True):
-        if factor > 0.0:
-            operator = mesh.functions(elements, xi, orders)
-            total = total + operator.T @ sp.diags(weights * factor) @ operator
-    return sp.csr_matrix(total)
+        values = basis(mesh.dim, xi, orders)
+        cell += values.T @ (factor * weights[:, None] * values)
+    stiffness = _weights("stiffness", smoothing.stiffness, mesh.n_elements)
+    every = np.arange(mesh.n_elements)
+    blocks = sp.bsr_matrix(
+        (stiffness[:, None, None] * cell, every, np.append(every, len(every))),
+        shape=(size * len(every),) * 2,
+    )
+    return sp.csr_matrix(mesh.extraction.T @ (blocks.tocsr() @ mesh.extraction))
 
 
 def _weights(name: str, given: float | Sequence[float] | Array, n: int) -> Array:
