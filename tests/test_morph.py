@@ -19,11 +19,11 @@ from modiolus.face.morph import (
     closed_surface,
     gates,
     morph_head,
-    plane_mask,
     quality_text,
     skin_surface,
     thickness,
 )
+from modiolus.hermite import symmetry_plane
 
 ICT = Path(__file__).parents[2] / "shared" / "scans" / "ict"
 needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the scans are not beside the project")
@@ -100,7 +100,7 @@ def test_bones_keep_their_distance(taro: Head, morphed: tuple[Head, dict, np.nda
 
 def test_the_morphed_head_still_mirrors(taro: Head, morphed: tuple[Head, dict, np.ndarray]) -> None:
     head = morphed[0]
-    held = plane_mask(taro.tissue, *taro.sides["midplane"])
+    held = symmetry_plane(taro.tissue, *taro.sides["midplane"])
     gap = np.abs(head.tissue.parameters - taro.tissue.parameters)[held]
     # What the mirror condition holds is a coordinate of the plane or a slope of zero.
     assert gap.max() < 1e-9

@@ -10,7 +10,8 @@ import numpy as np
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
 from modiolus.face.jaw import FOLLOWERS
-from modiolus.hermite.basis import Array
+from modiolus.fitting.register import sphere
+from modiolus.hermite.basis import Array, smooth_step
 from modiolus.hermite.tessellate import Mirror, Tessellation, tessellate
 
 __all__ = ["FaceScene", "eye"]
@@ -235,11 +236,7 @@ def _eyes(head: Head) -> list[Shape]:
     if "eyeball" not in head.deep:
         return []
     points = head.deep["eyeball"].distance.surface().vertices
-    # |x|² = 2 c·x + (r² - |c|²) is linear in the centre and the constant.
-    system = np.column_stack([2.0 * points, np.ones(len(points))])
-    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    centre = solution[:3]
-    radius = float(np.sqrt(solution[3] + centre @ centre))
+    centre, radius = sphere(points)
     socket = _socket(centre, radius, head.midplane)
     return [
         eye(centre, radius, "eye_left"),
@@ -314,5 +311,4 @@ def _mouth(head: Head) -> list[Shape]:
 
 def _smooth(low: float, high: float, values: Array) -> Array:
     """Return 0 below `low`, 1 above `high`, and a smooth step in between."""
-    share = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return np.asarray(share * share * (3.0 - 2.0 * share))
+    return smooth_step((values - low) / (high - low))

@@ -18,7 +18,7 @@ from ..anatomy.distance import DistanceGrid
 from ..anatomy.surface import MIDPLANE, Surface
 from ..fitting import PointTarget, Smoothing, fit
 from ..hermite import HermiteMesh
-from ..hermite.basis import Array
+from ..hermite.basis import Array, smooth_step
 from ..hermite.tessellate import tessellate
 from .head import Attachment
 from .muscle import Muscle
@@ -239,9 +239,8 @@ def modiolus_share(mesh: HermiteMesh, centre: Array) -> Array:
     """Return the share of the modiolus at the Gauss points, (n_elements, 64)."""
     elements, xi, _ = mesh.gauss_points(4)
     distance = np.linalg.norm(mesh.evaluate(elements, xi) - centre, axis=1)
-    share = np.clip(1.5 - 1.5 * distance / MODIOLUS_RADIUS, 0.0, 1.0)
-    smooth = share**2 * (3.0 - 2.0 * share)
-    return np.asarray(smooth.reshape(mesh.n_elements, -1))
+    share = smooth_step(1.5 - 1.5 * distance / MODIOLUS_RADIUS)
+    return np.asarray(share.reshape(mesh.n_elements, -1))
 
 
 def modiolus_centre(muscles: Mapping[str, Muscle], corner: Array) -> Array:

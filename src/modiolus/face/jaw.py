@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 
 from ..anatomy.distance import QUANTUM, DistanceGrid
 from ..errors import InputError
-from ..hermite.basis import Array
+from ..hermite.basis import Array, smooth_step
 
 __all__ = ["WIDEST", "Jaw", "opening"]
 
@@ -129,7 +129,7 @@ class Jaw:
         standing, _ = self._standing.query(folded)
         low, high = _BETWEEN
         near = (standing / (standing + moving) - low) / (high - low)
-        return _smooth(near) * _smooth((_FADE[1] - moving) / (_FADE[1] - _FADE[0]))
+        return smooth_step(near) * smooth_step((_FADE[1] - moving) / (_FADE[1] - _FADE[0]))
 
 
 def opening(degrees: float, where: str = "--jaw-open") -> float:
@@ -153,8 +153,3 @@ def _points(grid: DistanceGrid, low: float, high: float) -> Array:
     return np.asarray(
         grid.origin + grid.spacing * np.argwhere((distance >= low) & (distance <= high))
     )
-
-
-def _smooth(value: Array) -> Array:
-    share = np.clip(value, 0.0, 1.0)
-    return np.asarray(share * share * (3.0 - 2.0 * share))

@@ -24,8 +24,8 @@ from ..anatomy.distance import DistanceGrid
 from ..anatomy.surface import Surface
 from ..errors import InputError, SolveError
 from ..fitting import PointTarget, Registration, Smoothing, fit, icp, register
-from ..fitting.register import Matcher
-from ..hermite import HermiteMesh, grid
+from ..fitting.register import Matcher, sphere
+from ..hermite import HermiteMesh, grid, symmetry_plane
 from ..hermite.basis import Array
 from .embed import boundary_surface
 from .head import Head, RigidSurface
@@ -57,7 +57,7 @@ _CUT_WEIGHT = 0.3
 #: Farthest match (mm) in the first and in the last step.
 _REACH = (20.0, 3.0)
 #: Samples of the tissue and the width (mm) of the mean of corrections that moves bones.
-_AROUND = (400, 4.0)
+_AROUND = (120, 4.0)
 #: A vertex of a scan is in a cavity when fewer of its rays than this share escape.
 _ESCAPING = 0.3
 #: The inner surface lies on the eyeball up to this distance (mm).
@@ -169,24 +169,7 @@ def _centred(pose: Registration, surface: Surface, plane: float) -> Registration
 
 def _plane_mask(head: Head) -> NDArray[np.bool_]:
     """Return which unknowns of the tissue the mirror condition holds, (n_params, 3)."""
-    return plane_mask(head.tissue, *head.sides["midplane"])
-
-
-def plane_mask(
-    mesh: HermiteMesh, elements: NDArray[np.int64], axis: int, side: int
-) -> NDArray[np.bool_]:
-    """Return which unknowns a face in the mid-plane keeps so that the mirror image joins on.
-
-    Returns
-    -------
-    (n_params, 3) bool array
-        x of what lies in the plane, y and z of the slopes across it.
-    """
-    within, across = mesh.face_parameters(elements, axis, side)
-    held = np.zeros((mesh.n_params, 3), dtype=bool)
-    held[within, 0] = True
-    held[across, 1:] = True
-    return held
+    return symmetry_plane(head.tissue, *head.sides["midplane"])
 
 
 def _samples(mesh: HermiteMesh, count: int = 4) -> tuple[NDArray[np.int64], Array]:
@@ -221,7 +204,7 @@ def _muscle(muscle: Muscle, smooth: Map, mapping: Map) -> Muscle:
     start = _carried(muscle.mesh, smooth)
     smoothing = Smoothing(first=_MUSCLE_SMOOTHING, second=_MUSCLE_SMOOTHING, relative=True)
     there = PointTarget("there", elements, xi, points)
-    return replace(muscle, mesh=_unfolded(start, [there], smoothing)[0])
+    return replace(muscle, mesh=unfolded(start, [there], smoothing)[0])
 
 
 def _rigid(item: RigidSurface, mapping: Map, size: float) -> RigidSurface:
@@ -240,7 +223,7 @@ def _eyeball(head: Head, after: HermiteMesh) -> RigidSurface:
 
     item = head.deep["eyeball"]
     old = closed_surface(item.distance).vertices
-    centre, radius = _sphere(old)
+    centre, radius = sphere(old)
     elements, axis, side = head.sides["inner"]
     local, xi, _ = head.tissue.face(elements, axis, side).gauss_points(4)
     places = np.insert(xi, axis, float(side), axis=1)
@@ -262,13 +245,6 @@ def _eyeball(head: Head, after: HermiteMesh) -> RigidSurface:
     ball = pyvista.Icosphere(radius=radius, center=new, nsub=4)
     surface = Surface(ball.points, ball.regular_faces, "eyeball")
     return RigidSurface("eyeball", DistanceGrid.of([surface], item.distance.spacing))
-
-
-def _sphere(points: Array) -> tuple[Array, float]:
-    """Return centre and radius of the sphere through points (n, 3), least squares."""
-    matrix = np.column_stack([2.0 * points, np.ones(len(points))])
-    *centre, rest = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0]
-    return np.array(centre), float(np.sqrt(rest + np.sum(np.square(centre))))
 
 
 def closed_surface(distance: DistanceGrid) -> Surface:
@@ -428,7 +404,7 @@ def _deformed(
     head: Head, host: _Host, skin: _Skin, scans: list[Matcher], margins: Margins
 ) -> _Host:
     """Deform the host until the skin of the head lies on the scan."""
-    held = plane_mask(
+    held = symmetry_plane(
         host.mesh, np.flatnonzero(np.arange(host.mesh.n_elements) % HOST[0] == 0), 0, 0
     )
     rest = head.tissue.evaluate(skin.elements, skin.xi)
@@ -485,11 +461,11 @@ def _fitted(
             relative=True,
             stiffness=stiffness,
         )
-        mesh, stiffness = _unfolded(start, [*targets, *margins, skin.cuts], smoothing, held)
+        mesh, stiffness = unfolded(start, [*targets, *margins, skin.cuts], smoothing, held)
     return mesh
 
 
-def _unfolded(
+def unfolded(
     start: HermiteMesh,
     targets: list[PointTarget],
     smoothing: Smoothing,
@@ -497,25 +473,29 @@ def _unfolded(
 ) -> tuple[HermiteMesh, Array]:
     """Fit a mesh, with elements that would fold made stiffer; return it and the stiffness."""
     stiffness = np.broadcast_to(smoothing.stiffness, start.n_elements)
+    shape = _volumes(start)
     for _ in range(_TRIES):
         smoothing = replace(smoothing, stiffness=stiffness)
         mesh = fit(start, targets, smoothing, held, iterations=1).mesh
-        folding = _folding(start, mesh)
+        folding = _folding(shape, _volumes(mesh))
         if not folding.any():
             break
         stiffness = np.where(folding, _STIFFER * stiffness, stiffness)
     return mesh, stiffness
 
 
-def _folding(start: HermiteMesh, mesh: HermiteMesh) -> NDArray[np.bool_]:
+def _volumes(mesh: HermiteMesh) -> tuple[Array, Array]:
+    """Return the Jacobian (n_elements, 125) in every element, and the least scaled one of each."""
+    tangents = mesh.jacobian(*_samples(mesh, 5))
+    jacobian = np.linalg.det(tangents).reshape(mesh.n_elements, -1)
+    lengths = np.linalg.norm(tangents, axis=1).prod(axis=1).reshape(mesh.n_elements, -1)
+    return jacobian, (jacobian / lengths).min(axis=1)
+
+
+def _folding(old: tuple[Array, Array], new: tuple[Array, Array]) -> NDArray[np.bool_]:
     """Return which elements (n_elements,) have lost too much of their volume or shape."""
-    at = _samples(start, 5)
-    old, new = (np.linalg.det(item.jacobian(*at)) for item in (start, mesh))
-    shapes = [
-        item.scaled_jacobian(*at).reshape(mesh.n_elements, -1).min(axis=1) for item in (start, mesh)
-    ]
-    crushed = (new < _CRUSHED * old).reshape(mesh.n_elements, -1).any(axis=1)
-    return np.asarray(crushed | (shapes[1] < np.minimum(_BENT[0] * shapes[0], _BENT[1])))
+    crushed = (new[0] < _CRUSHED * old[0]).any(axis=1)
+    return np.asarray(crushed | (new[1] < np.minimum(_BENT[0] * old[1], _BENT[1])))
 
 
 @dataclass(frozen=True)
@@ -556,9 +536,11 @@ class _Whole:
         return cKDTree(self.before.evaluate(*_samples(self.before, 3)))
 
     @cached_property
-    def _shifts(self) -> Array:
-        at = _samples(self.before, 3)
-        return np.asarray(self.after.evaluate(*at) - self.host(self.before.evaluate(*at)))
+    def _shifts(self) -> tuple[cKDTree, Array]:
+        """Samples of the tissue, each in one element only, and their corrections."""
+        at = self.before.gauss_points(2)[:2]
+        points = self.before.evaluate(*at)
+        return cKDTree(points), np.asarray(self.after.evaluate(*at) - self.host(points))
 
     def bone(self, points: Array) -> Array:
         """Return where points (n, 3) of deep structures go.
@@ -571,11 +553,12 @@ class _Whole:
         side = np.where(grown[:, 0] < plane, -1.0, 1.0)
         grown[:, 0] = plane + side * (grown[:, 0] - plane)
         moved = self.host(grown)
-        distance, index = self._samples.query(grown, k=_AROUND[0])
+        samples, shifts = self._shifts
+        distance, index = samples.query(grown, k=_AROUND[0])
         fade = np.exp(-((distance[:, 0] / _FADE) ** 2))
         weights = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / _AROUND[1] ** 2)
         weights /= weights.sum(axis=1, keepdims=True)
-        moved += fade[:, None] * np.einsum("nk,nkd->nd", weights, self._shifts[index])
+        moved += fade[:, None] * np.einsum("nk,nkd->nd", weights, shifts[index])
         moved[:, 0] = plane + side * (moved[:, 0] - plane)
         return moved
 
@@ -619,6 +602,37 @@ def morph_head(
     tell = report or (lambda _fraction, _message: None)
     tell(0.0, "finding the pose of the surface")
     aligned = align(head, surface, landmarks)
+    morphed, margins = carried_head(head, aligned, report, name)
+    tell(0.9, "quality")
+    quality = morph_quality(head, morphed, aligned, margins)
+    tell(1.0, "done")
+    return morphed, quality
+
+
+def carried_head(
+    head: Head, aligned: Aligned, report: Progress | None = None, name: str = "morphed"
+) -> tuple[Head, list[PointTarget]]:
+    """Carry a head to a surface that has been brought into its frame.
+
+    Parameters
+    ----------
+    head : Head
+        A left half.
+    aligned : Aligned
+        From `align`.
+    report : callable, optional
+        Told ``(fraction, message)`` as the work goes on, from 0.3 to 0.9.
+    name : str
+        Name of the new head.
+
+    Returns
+    -------
+    head : Head
+        Without a description of itself.
+    margins : list of PointTarget
+        The margins of lips and lids with the points of the surface that they belong to.
+    """
+    tell = report or (lambda _fraction, _message: None)
     tell(0.3, "margins of lips and lids")
     before = _carried(head.tissue, aligned.grown, _plane_mask(head))
     grown = replace(head, tissue=before)
@@ -640,10 +654,7 @@ def morph_head(
     if "eyeball" in deep:
         deep["eyeball"] = _eyeball(head, after)
     morphed = replace(head, name=name, tissue=after, muscles=muscles, deep=deep, about={})
-    tell(0.9, "quality")
-    quality = morph_quality(head, morphed, aligned, edges)
-    tell(1.0, "done")
-    return morphed, quality
+    return morphed, edges
 
 
 def _both_margins(head: Head, skin: _Skin, scans: list[Matcher]) -> Margins:
@@ -683,6 +694,11 @@ def morph_quality(
     elements, xi, _ = mesh.gauss_points(4)
     every, outside, share = scan_error(morphed, aligned.surface)
     error = every[outside]
+    if not len(error):
+        raise SolveError(
+            f"{aligned.surface.name}: nothing of it lies on the face; give landmarks, or a scan of "
+            "the face alone"
+        )
     seen = _seen(morphed, aligned.surface)
     old, new = (thickness(item) for item in (head, morphed))
     ratio = new / (aligned.size * old)

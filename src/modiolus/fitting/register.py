@@ -124,6 +124,17 @@ def similarity(source: ArrayLike, target: ArrayLike, scaled: bool = True) -> Reg
     return Registration(scale, rotation, centre_b - scale * rotation @ centre_a, rms, 1.0)
 
 
+def sphere(points: Array) -> tuple[Array, float]:
+    """Return centre (3,) and radius of the sphere through points (n, 3), by least squares.
+
+    |x|² = 2 c·x + (r² - |c|²) is linear in the centre and in the rest.
+    """
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    return centre, float(np.sqrt(solution[3] + centre @ centre))
+
+
 class Matcher:
     """A surface with samples of it and its free edges, for matching by closest points.
 

@@ -4,7 +4,7 @@ from .basis import basis, basis_1d
 from .grid import assemble, bricks, grid, grid_connectivity, linear
 from .locate import Location
 from .mesh import HermiteMesh, outward
-from .mirror import MirroredMesh
+from .mirror import MirroredMesh, symmetry_plane
 from .quadrature import Quadrature, gauss, trapezoidal
 
 __all__ = [
@@ -21,5 +21,6 @@ __all__ = [
     "grid_connectivity",
     "linear",
     "outward",
+    "symmetry_plane",
     "trapezoidal",
 ]

@@ -54,6 +54,12 @@ def basis_1d(xi: ArrayLike, derivative: int = 0) -> Array:
     return out
 
 
+def smooth_step(values: ArrayLike) -> Array:
+    """Return 0 below 0, 1 above 1, and between them the Hermite function of the value at 1."""
+    share = np.clip(values, 0.0, 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))
+
+
 def basis(dim: int, xi: ArrayLike, derivative: Sequence[int] | None = None) -> Array:
     """Evaluate all ``4**dim`` local functions, or a derivative of them.
 

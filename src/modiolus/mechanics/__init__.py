@@ -1,6 +1,7 @@
 """Muscle-driven equilibrium of a soft tissue: laws, contact, assembly and continuation."""
 
-from .constraints import clamp, symmetry_plane
+from ..hermite import symmetry_plane
+from .constraints import clamp
 from .contact import RigidContact, SignedDistance, SurfaceContact, face_points
 from .continuation import Continuation, Interrupted, LoadNotReached, Settings, solve
 from .laws import (

@@ -16,7 +16,8 @@ from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw, opening
 from ..face.refine import at_gauss
 from ..face.tissue import Side
-from .constraints import clamp, symmetry_plane
+from ..hermite import symmetry_plane
+from .constraints import clamp
 from .contact import RigidContact, SurfaceContact, face_points
 from .continuation import Continuation
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix

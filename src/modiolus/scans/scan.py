@@ -14,9 +14,9 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from ..anatomy.surface import Surface, read_surface
 from ..errors import InputError, unknown_name
-from ..fitting.register import UNITS, Registration
+from ..fitting.register import UNITS, Registration, sphere
 
-__all__ = ["Scan", "known_unit", "read_scan"]
+__all__ = ["Scan", "known_unit", "read_scan", "scan_files"]
 
 Array = NDArray[np.float64]
 
@@ -166,6 +166,32 @@ def known_unit(unit: str) -> str:
     return unit
 
 
+def scan_files(folder: Path) -> dict[str, Path]:
+    """Return the scans in a folder by their name, frame 10 after frame 9.
+
+    Raises
+    ------
+    InputError
+        There is no such folder, or two scans have one name.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name one with scans in it")
+
+    def numbered(path: Path) -> list[tuple[int, str]]:
+        parts = re.split(r"(\d+)", path.stem)
+        return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+
+    out: dict[str, Path] = {}
+    for path in sorted(folder.iterdir(), key=numbered):
+        if path.suffix.lower() not in (*_MESHES, _CLOUDS[0]):
+            continue
+        name = path.stem.replace("_", "-")
+        if name in out:
+            raise InputError(f"{path}: there is also {out[name].name}; keep one of them")
+        out[name] = path
+    return out
+
+
 def read_scan(path: str | Path) -> Scan:
     """Read a scan and check it.
 
@@ -295,9 +321,7 @@ def _wrapped(points: Array, name: str) -> tuple[Array, Surface]:
     the convex hull of the directions triangulates it. Triangles that bridge gaps are left out.
     The normals are those of planes through neighbours, turned as the triangles are.
     """
-    system = np.column_stack([2.0 * points, np.ones(len(points))])
-    centre = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0][:3]
-    rays = points - centre
+    rays = points - sphere(points)[0]
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
     faces = ConvexHull(rays).simplices.astype(np.int64)
     a, b, c = (rays[faces[:, k]] for k in range(3))
