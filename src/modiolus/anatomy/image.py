@@ -15,7 +15,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,8 @@ class Image:
         What the image is, for messages.
     oriented : bool
         Whether the file said how the subject lies in it.
+    unknown : int
+        Voxels of the file whose number was not finite; they are 0.
     """
 
     values: NDArray[Any]
@@ -65,6 +67,7 @@ class Image:
     axes: Array
     name: str = "image"
     oriented: bool = True
+    unknown: int = 0
 
     @cached_property
     def spacing(self) -> Array:
@@ -92,7 +95,7 @@ class Image:
 
     def with_values(self, values: NDArray[Any]) -> Image:
         """Return an image of the same grid."""
-        return Image(values, self.origin, self.axes, self.name, self.oriented)
+        return replace(self, values=values)
 
     def reduced(self, factors: NDArray[np.int64]) -> Image:
         """Return the means of blocks of voxels.
@@ -106,12 +109,11 @@ class Image:
         cut = self.values[tuple(slice(0, n) for n in counts * factors)]
         blocks = cut.reshape(*np.column_stack([counts, factors]).ravel())
         middle = np.asarray(0.5 * (factors - 1.0), dtype=float)
-        return Image(
-            blocks.mean(axis=(1, 3, 5), dtype=np.float32),
-            self.points(middle[None])[0],
-            self.axes * factors,
-            self.name,
-            self.oriented,
+        return replace(
+            self,
+            values=blocks.mean(axis=(1, 3, 5), dtype=np.float32),
+            origin=self.points(middle[None])[0],
+            axes=self.axes * factors,
         )
 
 
@@ -142,7 +144,7 @@ def read_image(path: str | Path) -> Image:
     Returns
     -------
     Image
-        With the numbers as they are stored; numbers that are not finite become 0.
+        With the numbers as they are stored; those that are not finite become 0 and are counted.
 
     Raises
     ------
@@ -167,7 +169,8 @@ def read_image(path: str | Path) -> Image:
     except RuntimeError as error:
         raise _damaged(path, error) from error
     values = sitk.GetArrayFromImage(turned).transpose(2, 1, 0)
-    if values.dtype.kind == "f" and not np.isfinite(values).all():
+    unknown = 0 if values.dtype.kind != "f" else int((~np.isfinite(values)).sum())
+    if unknown:
         values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
     spacing = np.array(turned.GetSpacing())
     direction = np.array(turned.GetDirection()).reshape(3, 3)
@@ -178,7 +181,8 @@ def read_image(path: str | Path) -> Image:
         if not path.is_dir() and reader.HasMetaDataKey(key)
     ]
     oriented = not codes or any(code.strip() not in ("", "0") for code in codes)
-    return Image(values, np.array(turned.GetOrigin()), direction * spacing, path.name, oriented)
+    origin = np.array(turned.GetOrigin())
+    return Image(values, origin, direction * spacing, path.name, oriented, unknown)
 
 
 def write_image(path: str | Path, image: Image) -> None:

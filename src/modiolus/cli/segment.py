@@ -11,6 +11,7 @@ import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
 from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.errors import InputError
 from modiolus.progress import Progress
 
 if TYPE_CHECKING:
@@ -100,18 +101,21 @@ def _skin(path: Path, out: Path, as_json: bool, quiet: bool) -> None:
         progress.update(0.7, "looking for the face")
         head = Head.load("taro")
         face = find_face(found, head)
+        if face is None:
+            raise InputError(
+                f"{path}: no face found in it; give a T1-weighted image that shows one, the way it "
+                "lies in the head's axes"
+            )
         progress.update(0.9, "writing")
         surface = found.surface
         _write_ply(folder / "skin.ply", surface)
         cloud = surface.samples(_CLOUD)
         np.savetxt(folder / "cloud.xyz", cloud, fmt="%.3f", header="x y z (mm, LPS)")
-        through = surface.bounds.mean(axis=0)
-        if face is not None:
-            marks = head.landmark_points()
-            cheeks = face.pose.apply([marks["cheek_left"], marks["cheek_right"]])
-            through = cheeks.mean(axis=0)
-            # Beside the mid-plane's cleft of the nose and through an eye's height is more seen.
-            through[0] += 2.0
+        marks = head.landmark_points()
+        cheeks = face.pose.apply([marks["cheek_left"], marks["cheek_right"]])
+        through = cheeks.mean(axis=0)
+        # Beside the mid-plane's cleft of the nose and through an eye's height is more seen.
+        through[0] += 2.0
         draw_slices(
             found.image,
             surface,
@@ -125,6 +129,7 @@ def _skin(path: Path, out: Path, as_json: bool, quiet: bool) -> None:
             "voxels": list(image.values.shape),
             "spacing_mm": [round(float(step), 4) for step in image.spacing],
             "oriented": image.oriented,
+            "voxels_not_finite": image.unknown,
             "air": round(found.air, 3),
             "noise": round(found.noise, 3),
             "tissue": round(found.tissue, 3),
@@ -133,7 +138,7 @@ def _skin(path: Path, out: Path, as_json: bool, quiet: bool) -> None:
             "triangles": len(surface.faces),
             "cloud_points": len(cloud),
             "cut_mm2": found.cuts,
-            "face": None if face is None else _face_record(face),
+            "face": _face_record(face),
             "files": {
                 "skin": str(out / "skin.ply"),
                 "cloud": str(out / "cloud.xyz"),
@@ -154,7 +159,7 @@ def _face_record(face: FaceShown) -> dict[str, Any]:
     }
 
 
-def _text(record: Mapping[str, Any], image: Image, face: FaceShown | None) -> str:
+def _text(record: Mapping[str, Any], image: Image, face: FaceShown) -> str:
     files = record["files"]
     lines = [
         f"Skin: {record['triangles']} triangles, {record['volume_l']:.2f} l in the field of view",
@@ -166,17 +171,16 @@ def _text(record: Mapping[str, Any], image: Image, face: FaceShown | None) -> st
         lines.append(f"The head goes on beyond the image: {sides}")
     if not image.oriented:
         lines.append("The file does not say how the subject lies in it: check the slices")
-    if face is None:
-        lines.append("Face: none found in the image; check the slices")
-    else:
-        if face.missing:
-            lines.append(f"Missing from the face: {', '.join(face.missing)}")
-        if face.cut:
-            lines.append(f"Shown in part: {', '.join(face.cut)}")
-        if not (face.missing or face.cut):
-            lines.append("The whole face is in the image")
+    if image.unknown:
+        lines.append(f"{image.unknown} voxels are not numbers and were taken for air")
+    if face.missing:
+        lines.append(f"Missing from the face: {', '.join(face.missing)}")
+    if face.cut:
+        lines.append(f"Shown in part: {', '.join(face.cut)}")
+    if not (face.missing or face.cut):
+        lines.append("The whole face is in the image")
     lines += ["", f"Surface: {files['skin']}", f"Slices: {files['slices']}"]
-    if face is not None and not face.missing:
+    if not face.missing:
         lines.append(f"Use it with: modiolus morph taro --to {files['skin']}")
     return "\n".join(lines)
 

@@ -457,25 +457,29 @@ def _write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     np.savez_compressed(path, allow_pickle=False, **arrays)
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, mend: str = "build or copy the head anew") -> dict[str, NDArray[Any]]:
     """Read an archive of plain arrays.
+
+    Parameters
+    ----------
+    path : Path
+    mend : str
+        What to do when it cannot be read.
 
     Raises
     ------
     InputError
         It is missing, damaged or far too large.
     """
-    damaged = f"{path}: cannot be read as arrays; it may be truncated, build or copy it anew"
+    damaged = f"{path}: cannot be read as arrays; it may be truncated, {mend}"
     try:
         with zipfile.ZipFile(path) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > _LARGEST:
-                raise InputError(
-                    f"{path}: it unpacks to more than {_LARGEST >> 20} MiB; copy it anew"
-                )
+                raise InputError(f"{path}: it unpacks to more than {_LARGEST >> 20} MiB; {mend}")
         with np.load(path, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
     except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; build or copy the head anew") from error
+        raise InputError(f"{path}: no such file; {mend}") from error
     except InputError:
         raise
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:

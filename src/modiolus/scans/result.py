@@ -38,6 +38,8 @@ class Result:
         By muscle; those at rest are left out.
     jaw : float
         Angle in radians by which the jaw is open.
+    time : float or None
+        In seconds, of a frame of a sequence.
     """
 
     expression: str
@@ -46,6 +48,7 @@ class Result:
     pressure: Array
     activations: dict[str, float]
     jaw: float
+    time: float | None = None
 
 
 def _digest(head: Head) -> str:
@@ -61,6 +64,7 @@ def save_state(
     pressure: Array,
     activations: dict[str, float],
     jaw: float,
+    time: float | None = None,
 ) -> None:
     """Write a state as plain arrays.
 
@@ -78,6 +82,8 @@ def save_state(
     activations : dict of str to float
     jaw : float
         Angle in radians by which the jaw is open.
+    time : float, optional
+        In seconds, of a frame of a sequence.
     """
     np.savez_compressed(
         path,
@@ -90,6 +96,7 @@ def save_state(
         muscles=np.array(list(activations), dtype="U64"),
         activations=np.array(list(activations.values()), dtype=float),
         jaw=np.array(jaw),
+        **({} if time is None else {"time": np.array(time)}),
     )
 
 
@@ -110,7 +117,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
     path = Path(folder) / STATE_FILE
     if not path.is_file():
         raise InputError(f"{folder}: no {STATE_FILE} in it; name a folder that simulate wrote")
-    arrays = read_arrays(path)
+    arrays = read_arrays(path, "simulate anew")
     try:
         source = str(arrays["head"]) if head is None else head
         chosen = Head.load(source)
@@ -119,6 +126,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         names, values = arrays["muscles"].tolist(), arrays["activations"].astype(float).tolist()
         same = str(arrays["digest"]) == _digest(chosen)
         expression, jaw = str(arrays["expression"]), float(arrays["jaw"])
+        time = float(arrays["time"]) if "time" in arrays else None
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
             raise
@@ -126,7 +134,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
     sizes = (chosen.tissue.n_params, chosen.both.mesh.n_params)
     if not same or parameters.shape not in [(size, 3) for size in sizes]:
         raise InputError(f"{folder}: the head {source} has changed since; simulate anew")
-    if not np.isfinite([*parameters.ravel(), *pressure, *values, jaw]).all():
+    if not np.isfinite([*parameters.ravel(), *pressure, *values, jaw, time or 0.0]).all():
         raise InputError(f"{path}: a number is not finite; simulate anew")
     if len(names) != len(values):
         raise InputError(f"{path}: muscles and activations do not pair; simulate anew")
@@ -136,4 +144,4 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         opening(np.degrees(jaw), "jaw")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return Result(expression, chosen, parameters, pressure, activations, jaw)
+    return Result(expression, chosen, parameters, pressure, activations, jaw, time)
