@@ -28,12 +28,13 @@ from scipy.sparse.csgraph import connected_components
 from modiolus.errors import InputError
 from modiolus.hermite.check import numbers
 
-__all__ = ["MIDPLANE", "Closest", "Surface", "is_whole_ply", "read_surface"]
+__all__ = ["MIDPLANE", "READABLE", "Closest", "Surface", "is_whole_ply", "read_surface"]
 
 #: x of the reference anatomy's mid-sagittal plane (mm).
 MIDPLANE = -0.67
 
-_READABLE = (".ply", ".stl", ".obj", ".vtp")
+#: Endings of the files that `read_surface` reads.
+READABLE = (".ply", ".stl", ".obj", ".vtp")
 
 
 class Closest(NamedTuple):
@@ -316,8 +317,8 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")
-    if path.suffix.lower() not in _READABLE:
-        raise InputError(f"{path}: not a surface file; give one of {', '.join(_READABLE)}")
+    if path.suffix.lower() not in READABLE:
+        raise InputError(f"{path}: not a surface file; give one of {', '.join(READABLE)}")
     # VTK is imported here because it takes longer than everything else together.
     import pyvista as pv
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-import shutil
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +16,9 @@ from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError, SolveError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
+
+if TYPE_CHECKING:
+    from modiolus.face.head import Head
 
 
 @app.command(
@@ -57,43 +61,110 @@ def morph(
     from modiolus.anatomy.surface import read_surface
     from modiolus.face.head import Head
     from modiolus.face.landmarks import read_landmarks
-    from modiolus.face.morph import gates, morph_head, quality_text
+    from modiolus.face.subject import Structures, build_subject
 
     source = Head.load(head)
-    surface = read_surface(to)
+    surface = replace(read_surface(to), name=to.name)
     pairs = None if landmarks is None else read_landmarks(landmarks, source)
     if notice is not None and not notice.is_file():
         raise InputError(f"--notice {notice}: no such file; check the path")
     name = folder_name("--out", out.resolve().name)
     with whole_folder(out, marker="head.toml") as folder:
         with Progress(f"morphing {source.name}", quiet=quiet) as progress:
-            morphed, quality = morph_head(source, surface, pairs, progress.update, name)
-        failed = [gate for gate in gates(quality) if not gate.passed]
-        if failed:
-            if not quiet:
-                sys.stderr.write(quality_text(quality) + "\n")
-            faults = ", ".join(f"{gate.name} is {gate.value:g}" for gate in failed)
-            raise SolveError(
-                f"{to}: the morphed head is not sound ({faults}); nothing was written; give "
-                "landmarks, or a scan that shows more of the face"
+            morphed, quality = build_subject(
+                source, Structures(surface, {}, {}, []), pairs, progress.update, name
             )
-        about = dict(source.about)
-        about["subject"] = subject or f"the face of {to.name}"
-        about["source"] = f"{about.get('source', source.name)}; surface {to.name}"
-        about["changes"] = (
-            f"{about.get('changes', '')}; morphed from {source.name} to the surface {to.name}"
-        ).lstrip("; ")
-        if notice is not None:
-            about["attribution"] = (
-                f"{about.get('attribution', '')} The surface of the face is under the licence in "
-                "LICENSE-surface."
-            ).lstrip()
-            shutil.copyfile(notice, folder / "LICENSE-surface")
-        about["morphed_from"] = source.name
-        about["quality"] = quality
-        morphed.about.update(about)
-        morphed.save(folder)
-        verdicts = [
+        change = f"morphed from {source.name} to the surface {to.name}"
+        origin = Origin(f"surface {to.name}", change, subject or f"the face of {to.name}", notice)
+        record = finish(morphed, source, quality, origin, folder, out, quiet)
+    show(record, account(record, morphed, out), as_json, quiet)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a head was made from.
+
+    Attributes
+    ----------
+    source : str
+        The files.
+    change : str
+        What was done with them.
+    subject : str
+        Whose head it is.
+    notice : Path or None
+        The licence of the files.
+    """
+
+    source: str
+    change: str
+    subject: str
+    notice: Path | None
+
+
+def finish(
+    made: Head,
+    source: Head,
+    quality: dict[str, Any],
+    origin: Origin,
+    folder: Path,
+    out: Path,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Write a head that was carried over from another, if it passes its gates.
+
+    Parameters
+    ----------
+    made, source : Head
+        The new head, and the one that it was carried over from.
+    quality : dict
+        Of `modiolus.face.subject.build_subject`.
+    origin : Origin
+    folder, out : Path
+        Where to write, and where the files will be found in the end.
+    quiet : bool
+        No table of what failed.
+
+    Returns
+    -------
+    dict
+        The record of the command, which is also in ``report.json``.
+
+    Raises
+    ------
+    SolveError
+        A gate is failed.
+    """
+    from modiolus.face.morph import gates, quality_text
+
+    failed = [gate for gate in gates(quality) if not gate.passed]
+    if failed:
+        if not quiet:
+            sys.stderr.write(quality_text(quality) + "\n")
+        faults = ", ".join(f"{gate.name} is {gate.value:g}" for gate in failed)
+        raise SolveError(
+            f"{origin.source}: the head is not sound ({faults}); nothing was written; give "
+            "landmarks, or a scan that shows more of the face"
+        )
+    about = dict(source.about)
+    about["subject"] = origin.subject
+    about["source"] = f"{about.get('source', source.name)}; {origin.source}"
+    about["changes"] = f"{about.get('changes', '')}; {origin.change}".lstrip("; ")
+    if origin.notice is not None:
+        text = origin.notice.read_text(encoding="utf-8", errors="replace")
+        credit = f"The surface of the face: {_holders(text)}, under the licence in LICENSE-surface."
+        about["attribution"] = f"{about.get('attribution', '')} {credit}".lstrip()
+        (folder / "LICENSE-surface").write_text(text, encoding="utf-8")
+    about["morphed_from"] = source.name
+    about["quality"] = quality
+    made.about.update({**about, "provenance": made.about["provenance"]})
+    made.save(folder)
+    record = {
+        "head": made.name,
+        "morphed_from": source.name,
+        "provenance": made.about["provenance"],
+        "quality": quality,
+        "gates": [
             {
                 "name": gate.name,
                 "value": gate.value,
@@ -102,15 +173,27 @@ def morph(
                 "passed": gate.passed,
             }
             for gate in gates(quality)
-        ]
-        record = {
-            "head": name,
-            "morphed_from": source.name,
-            "quality": quality,
-            "gates": verdicts,
-            "files": {"folder": str(out)},
-        }
-        write_report(folder, record)
-    text = f"{quality_text(quality)}\n\nHead: {out}"
-    text += f"\nUse it with: modiolus simulate smile-closed --head {out}"
-    show(record, text, as_json, quiet)
+        ],
+        "files": {"folder": str(out)},
+    }
+    write_report(folder, record)
+    return record
+
+
+def _holders(notice: str) -> str:
+    """Return the first line of a licence, which names it, and its lines of copyright."""
+    lines = [line.strip() for line in notice.splitlines() if line.strip()]
+    holders = [line for line in lines if line.lower().startswith(("copyright", "(c)", "©"))]
+    return ", ".join(dict.fromkeys([*lines[:1], *holders[:3]])) or "its makers"
+
+
+def account(record: Mapping[str, Any], made: Head, out: Path) -> str:
+    """Return the figures of a head and what of it was given, for a person to read."""
+    from modiolus.face.morph import quality_text
+    from modiolus.face.provenance import provenance_lines
+
+    lines = "\n".join(provenance_lines(made.about))
+    return (
+        f"{quality_text(record['quality'])}\n\n{lines}\n\nHead: {out}\n"
+        f"Use it with: modiolus simulate smile-closed --head {out}"
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from .embed import (
 )
 from .head import Head, RigidSurface
 from .muscles import build_muscles, muscle_quality, muscle_table
+from .provenance import GIVEN, INFERRED
 from .template import NECK_CUT
 from .tissue import EYE_CENTRE, EYE_RADIUS, Tissue, build_tissue, eyeball, outer_sheet
 
@@ -111,6 +112,7 @@ def build_head(
             "changes": "Hermite meshes fitted to the surfaces; eyeball of "
             f"{2 * EYE_RADIUS:g} mm; skin and muscles moved to make room for each other",
             "quality": tissue_quality(tissue, outer_sheet(skin), deep),
+            "provenance": provenance(muscles, deep),
         },
     )
     share = {
@@ -135,6 +137,17 @@ def build_head(
     )
     tell(1.0, "done")
     return head, table
+
+
+def provenance(muscles: Iterable[str], deep: Iterable[str]) -> dict[str, str]:
+    """Return for each part of a head built from BodyParts3D what it comes from."""
+    out = {"skin": f"{GIVEN}: moved out where muscles need room"}
+    out["inner_surface"] = f"{GIVEN}: on bone, elsewhere {INFERRED}: a greatest depth by region"
+    out |= dict.fromkeys(muscles, f"{GIVEN}: moved into the tissue")
+    out |= dict.fromkeys(deep, GIVEN)
+    out["eyeball"] = f"{INFERRED}: a ball of {2 * EYE_RADIUS:g} mm behind the lids"
+    out["attachments"] = f"{INFERRED}: at the ends of the muscles, ligaments from the literature"
+    return out
 
 
 def quality_text(head: Head) -> str:

@@ -303,7 +303,7 @@ def _fitted(sheet: Sheet, surface: Surface, source: _Source, recipe: _Recipe) ->
         keep = [replace(course, weight=w) for w in (1.0, 0.1)]
         start = fit(mesh, keep[:1], smoothing, fixed=fixed, iterations=1).mesh
         done = fit(start, [keep[1], *clouds], smoothing, fixed=fixed, iterations=4).mesh
-        if _least_jacobian(done) > _LEAST_JACOBIAN:
+        if least_jacobian(done) > _LEAST_JACOBIAN:
             return done
     raise SolveError(f"{recipe.source}: its mesh folds; use fewer elements or other corners")
 
@@ -454,24 +454,19 @@ def _source_points(sheet: Sheet, surface: Surface, source: _Source, recipe: _Rec
     return points
 
 
-def _boundary(mesh: HermiteMesh) -> HermiteMesh:
-    """Return the outside of a volume as a mesh of its faces."""
+def outer_faces(mesh: HermiteMesh) -> list[tuple[int, int, int]]:
+    """Return the faces of a volume that no two elements share, each (element, axis, side)."""
     corners = Muscle("mesh", mesh, "strap").corners
-    rows = []
     seen: dict[tuple[int, ...], list[tuple[int, int, int]]] = {}
     for axis in range(3):
         for side in (0, 1):
             picked = [c for c in range(8) if c >> axis & 1 == side]
             for element, nodes in enumerate(np.sort(corners[:, picked], axis=1).tolist()):
                 seen.setdefault(tuple(nodes), []).append((element, axis, side))
-    for faces in seen.values():
-        if len(faces) == 1:
-            element, axis, side = faces[0]
-            rows.append(mesh.face([element], axis, side).extraction)
-    return HermiteMesh(2, mesh.parameters, sp.vstack(rows).tocsr())
+    return [faces[0] for faces in seen.values() if len(faces) == 1]
 
 
-def _least_jacobian(mesh: HermiteMesh) -> float:
+def least_jacobian(mesh: HermiteMesh) -> float:
     """Smallest scaled Jacobian on 5×5×5 points an element, borders included."""
     return float(mesh.scaled_jacobian(*_ticks(mesh)).min())
 
@@ -545,7 +540,8 @@ def _qualities(parts: list[Muscle], surface: Surface, source: _Source) -> Iterat
     cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     cells = cells[kept(cells)]
     cells = cells[surface.contains(cells)]
-    outsides = [_outside(part) for part in parts]
+    # The cut ends of half a ring are none of the source.
+    outsides = [outer_surface(part, ends=part.kind != "ring") for part in parts]
     gaps = np.stack([outside.closest(data).distance for outside in outsides])
     owners = np.stack([part.mesh.locate(cells).distance for part in parts]).argmin(axis=0)
     for number, (part, outside) in enumerate(zip(parts, outsides, strict=True)):
@@ -577,19 +573,13 @@ def _qualities(parts: list[Muscle], surface: Surface, source: _Source) -> Iterat
         )
 
 
-def _outside(muscle: Muscle) -> Surface:
-    """Triangulate the outside of a muscle; of a half ring without its cut ends."""
-    mesh = _boundary(muscle.mesh)
-    if muscle.kind == "ring":
-        elements = np.arange(muscle.mesh.n_elements)
-        sides = [muscle.mesh.face(elements, 2, side) for side in (0, 1)]
-        rows = muscle.rows()[0]
-        for side in (0, 1):
-            edge = elements[rows == (rows.max() if side else 0)]
-            sides.append(muscle.mesh.face(edge, 1, side))
-        stacked = sp.vstack([side.extraction for side in sides]).tocsr()
-        mesh = HermiteMesh(2, muscle.mesh.parameters, stacked)
-    cut = tessellate(mesh, 8)
+def outer_surface(muscle: Muscle, ends: bool = True) -> Surface:
+    """Triangulate the outside of a muscle, with or without its two ends."""
+    sides = outer_faces(muscle.mesh)
+    if not ends:
+        sides = [(element, axis, side) for element, axis, side in sides if axis > 0]
+    mesh, outward = muscle.mesh.boundary(([element], axis, side) for element, axis, side in sides)
+    cut = tessellate(mesh, 8, outward)
     return Surface(cut.points(mesh.parameters), cut.cells, muscle.name)
 
 
