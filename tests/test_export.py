@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from modiolus.cli import main
 from modiolus.errors import InputError
-from modiolus.export import Shape, write_glb, write_vtu
+from modiolus.export import Shape, in_turn, write_glb, write_vtu
 from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh, bricks, outward
 from modiolus.hermite.tessellate import Mirror, tessellate
@@ -201,7 +201,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, capfd):
 def test_an_animation_lets_the_targets_come_and_go(tmp_path):
     up, down = SKIN.vertices + 1.0, SKIN.vertices - 1.0
     path = tmp_path / "face.glb"
-    write_glb(path, [SKIN], {"skin": {"up": up, "down": down}}, seconds=3.0)
+    write_glb(path, [SKIN], {"skin": {"up": up, "down": down}}, keys=in_turn(2, 3.0))
     content, accessor = read_glb(path)
     (animation,) = content["animations"]
     (channel,), (sampler,) = animation["channels"], animation["samplers"]
@@ -212,7 +212,9 @@ def test_an_animation_lets_the_targets_come_and_go(tmp_path):
 
     other = replace(SKIN, name="teeth")
     with pytest.raises(InputError, match="targets"):
-        write_glb(path, [SKIN, other], {"skin": {"up": up}, "teeth": {"down": down}}, seconds=1.0)
+        write_glb(
+            path, [SKIN, other], {"skin": {"up": up}, "teeth": {"down": down}}, keys=in_turn(1, 1.0)
+        )
 
 
 @pytest.fixture(scope="module")

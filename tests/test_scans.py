@@ -2,7 +2,6 @@
 
 import json
 import struct
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,14 +25,6 @@ from modiolus.mechanics import (
 from modiolus.scans import read_scan
 from modiolus.scans.align import align_to_neutral, place, register_scan
 from modiolus.scans.compare import compare, figures
-from modiolus.scans.identify import (
-    _certainty,
-    _Matches,
-    _Point,
-    _slopes,
-    _Target,
-    muscle_set,
-)
 from modiolus.scans.result import STATE_FILE, load_result, save_state
 from modiolus.scans.scan import Scan
 from modiolus.scans.skin import REGIONS, Skin
@@ -432,69 +423,6 @@ def test_sensitivities_agree_with_finite_differences():
         assert np.abs(slope - found[:, :, k]).max() < 1e-6 * size
 
 
-def test_the_gradient_of_the_distances_agrees_with_finite_differences(head, skin):
-    from modiolus.mechanics.face import face_problem
-
-    names = ["zygomaticus_major", "frontalis_lateral"]
-    problem = face_problem(head)
-    continuation = Continuation(problem)
-    change = continuation.sensitivities(names)
-    rest = head.tissue.parameters
-    surface = skin.surface(rest)
-    bump = 0.2 * np.sin(0.2 * surface.vertices[:, :1]) * surface.vertex_normals
-    neutral = scan_of(Surface(surface.vertices + bump, surface.faces, "neutral"))
-    smile = skin.surface(rest + 0.1 * change[:, :, 0]).vertices
-    target = _Target(skin, scan_of(Surface(smile + bump, surface.faces, "smile")), neutral)
-    state = replace(continuation.state, parameters=rest + 0.04 * change.sum(axis=2))
-    pose = Registration(1.0, np.eye(3), np.zeros(3))
-    target.renew(state.parameters, pose)
-    point = _Point(np.full(2, 0.04), pose, state, target, np.ones(2), np.ones(2))
-    weight, residual = point.matches.weight, point.matches.residual
-    continuation.sensitivities = lambda muscles: change
-    slopes = _slopes(continuation, target, point, names)[:, :2]
-    step = 1e-6
-    for k in range(2):
-        ends = [
-            target.matches(state.parameters + h * change[:, :, k], pose).residual
-            for h in (step, -step)
-        ]
-        assert len(ends[0]) == len(ends[1]) == len(residual)
-        # Where the closest point jumps, as across a slit, there is no derivative.
-        found = (ends[0] - ends[1]) / (2.0 * step)
-        smooth = np.abs(ends[0] + ends[1] - 2.0 * residual) < 1e-9
-        assert smooth.mean() > 0.99
-        gradient = 2.0 * (weight * residual * slopes[:, k])[smooth].sum()
-        assert 2.0 * (weight * residual * found)[smooth].sum() == pytest.approx(gradient, rel=1e-6)
-        assert abs(gradient) > 1e-3
-
-
-def test_certainty_names_muscles_that_do_the_same():
-    rng = np.random.default_rng(5)
-    n = 400
-    slopes = rng.standard_normal((n, 2))
-    matrix = np.hstack([slopes, slopes[:, :1] + 1e-2 * rng.standard_normal((n, 1))])
-    matrix = np.hstack([matrix, rng.standard_normal((n, 6))])
-    feet = type("Feet", (), {"points": 200.0 * rng.random((n, 3))})()
-    matches = _Matches(
-        feet, np.zeros((n, 3)), 0.3 * np.ones(n), 50.0 * rng.random((n, 3)), np.full(n, 1.0 / n)
-    )
-    point = _Point.__new__(_Point)
-    point.matches, point.rms, point.pose_cost = matches, 0.3, 0.1
-    deviations, pairs = _certainty(matrix, point, ["a", "b", "c"])
-    assert [set(pair[:2]) for pair in pairs] == [{"a", "c"}] and pairs[0][2] < -0.99
-    assert deviations["a"] > 10.0 * deviations["b"]
-
-
-def test_names_of_muscles_and_of_table_2(head):
-    assert muscle_set(["frontalis", "mentalis"], head) == [
-        *("mentalis", "frontalis_medial", "frontalis_lateral"),
-    ]
-    assert len(muscle_set(["smile-closed"], head)) == 6
-    with pytest.raises(InputError) as error:
-        muscle_set(["zygomaticus"], head)
-    assert "zygomaticus_major" in str(error.value)
-
-
 # --- the command line
 
 
@@ -546,30 +474,3 @@ def test_commands_refuse_in_one_line(capsys, tmp_path, head):
         code, out, error = run(capsys, *arguments)
         assert (code, out, error.count("\n")) == (2, "", 1), error
         assert word in error
-
-
-@pytest.mark.slow
-def test_activations_come_back_from_a_noisy_scan_in_any_pose(head, skin):
-    from modiolus.mechanics.face import face_problem
-    from modiolus.scans.identify import identify
-
-    rng = np.random.default_rng(0)
-    true = {
-        "zygomaticus_major": 0.64,
-        "zygomaticus_minor": 0.27,
-        "levator_anguli_oris": 0.01,
-        "depressor_anguli_oris": 0.0,
-        "depressor_labii_inferioris": 0.16,
-        "mentalis": 0.18,
-    }
-    problem = face_problem(head)
-    state = Continuation(problem).run(problem.load(true))
-    surface = skin.surface(state.parameters)
-    noise = 0.3 * rng.standard_normal((len(surface.vertices), 1)) * surface.vertex_normals
-    turn = Rotation.random(rng=rng).as_matrix()
-    moved = Surface((surface.vertices + noise) @ turn.T + 100.0, surface.faces, "smile")
-    placed, _, _ = place(scan_of(moved), skin)
-    found = identify(problem, head, placed, skin=skin, muscles=list(true))
-    for name, value in true.items():
-        assert abs(found.activations[name] - value) < 0.03 or name in found.unsure
-    assert found.history[-1] < 0.35 < found.history[0]

@@ -26,7 +26,7 @@ def export(
         list[str],
         typer.Argument(
             metavar="HEAD|RESULT...",
-            help="A shipped head, a folder with one, or folders that simulate wrote.",
+            help="A shipped head, a folder with one, or folders that simulate or identify wrote.",
             show_default=False,
         ),
     ],
@@ -48,7 +48,10 @@ def export(
     ] = None,
     seconds: Annotated[
         float,
-        typer.Option(help="With --glb: let each shape key come and go for so long, in turn."),
+        typer.Option(
+            help="With --glb: let each shape key come and go for so long, in turn. Frames of a "
+            "sequence play in their own time without it."
+        ),
     ] = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -102,7 +105,7 @@ def _write_ex(source: str, target: Path, cmgui: bool) -> tuple[dict[str, Any], s
 
 
 def _write_glb(sources: Sequence[str], target: Path, seconds: float) -> tuple[dict[str, Any], str]:
-    from modiolus.export import write_glb
+    from modiolus.export import in_turn, write_glb
     from modiolus.export.scene import FaceScene
     from modiolus.scans.result import load_result
 
@@ -120,6 +123,7 @@ def _write_glb(sources: Sequence[str], target: Path, seconds: float) -> tuple[di
         if not np.array_equal(other.head.tissue.parameters, rest):
             raise InputError(f"{source}: it is of another head than {sources[0]}; export it apart")
     head = first.head
+    keys = in_turn(len(results), seconds) if seconds else _in_time(list(results.values()))
     scene = FaceScene(head)
     with whole_folder(target, marker="report.json", option="--glb") as folder:
         states = {name: (result.parameters, result.jaw) for name, result in results.items()}
@@ -128,15 +132,27 @@ def _write_glb(sources: Sequence[str], target: Path, seconds: float) -> tuple[di
             scene.shapes(rest),
             scene.targets(states),
             str(head.about.get("attribution", "")),
-            seconds,
+            keys,
         )
         (folder / "LICENSE").write_text(head.licence_text(), encoding="utf-8")
         record = {
             "head": head.name,
             "shape_keys": list(results),
-            "seconds": seconds * len(results),
+            "seconds": 0.0 if keys is None else float(keys[0][-1]),
             "files": {"model": str(target / "faces.glb")},
         }
         write_report(folder, record)
     text = f"{head.name}: {', '.join(results)}\nModel: {target / 'faces.glb'}"
     return record, text
+
+
+def _in_time(results: Sequence[Result]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the keys of an animation that goes from frame to frame of a sequence, if they are."""
+    found = [result.time for result in results if result.time is not None]
+    times = np.array(found)
+    if len(times) < 2 or len(times) < len(results):
+        return None
+    order = np.argsort(times)
+    if not (np.diff(times[order]) > 0.0).all():
+        raise InputError("RESULT: two frames have the same time; export one sequence at a time")
+    return times[order] - times.min(), np.eye(len(times))[order]

@@ -21,7 +21,6 @@ from modiolus.progress import Progress
 PAPER = {"smile-closed": 0.88, "smile-open": 0.93, "sad": 1.43, "terror": 1.40}
 #: Ways to choose the activations.
 WAYS = ("hand", "table2", "all")
-_KINDS = (".ply", ".obj", ".stl", ".vtp", ".xyz")
 
 
 @app.command(epilog="Example: modiolus validate scans/anna --activations hand --out out")
@@ -68,7 +67,7 @@ def validate(
     validate.html and report.json.
     """
     from modiolus.face.head import Head
-    from modiolus.scans.scan import known_unit, read_scan
+    from modiolus.scans.scan import known_unit, read_scan, scan_files
 
     known_unit(unit)
     ways = [way.strip() for way in activations.split(",") if way.strip()]
@@ -77,9 +76,7 @@ def validate(
             raise unknown_name("way", way, WAYS)
     if not ways:
         raise InputError(f"--activations: none given; choose from {', '.join(WAYS)}")
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; name one with neutral.ply in it")
-    files = _surfaces(folder)
+    files = scan_files(folder)
     if "neutral" not in files:
         raise InputError(f"{folder}: no neutral surface; put neutral.ply into it")
     neutral = read_scan(files.pop("neutral"))
@@ -144,19 +141,6 @@ def validate(
         raise SolveError(f"validate: {', '.join(failed)} did not converge; see {page}")
 
 
-def _surfaces(folder: Path) -> dict[str, Path]:
-    """Return the surfaces of a folder by the name of their expression."""
-    out: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
-        name = path.stem.replace("_", "-")
-        if path.suffix.lower() not in _KINDS:
-            continue
-        if name in out:
-            raise InputError(f"{path}: there is also {out[name].name}; keep one of them")
-        out[name] = path
-    return out
-
-
 class _Table:
     """The rows of the table, and the files that go with them."""
 
@@ -164,19 +148,19 @@ class _Table:
         self, head: Any, skin: Any, neutral: Any, draft: Path, target: Path, quiet: bool
     ) -> None:
         from modiolus.export.scene import FaceScene
-        from modiolus.mechanics.face import face_problem
+        from modiolus.mechanics.face import Face
 
         self.head, self.skin, self.neutral = head, skin, neutral
         self.draft, self.target, self.quiet = draft, target, quiet
-        self.problem, self.scene = face_problem(head), FaceScene(head)
+        self.face, self.scene = Face(head), FaceScene(head)
         self.rows: list[dict[str, Any]] = []
-        self._states: dict[str, Any] = {}
+        self._found: dict[str, Any] = {}
         self._pictures: list[tuple[str, Path]] = []
 
     def add(self, name: str, scan: Any, alignment: Any, ways: list[str]) -> None:
         """Compute one expression in every way that applies to it."""
         from modiolus.face.expression import expression_names
-        from modiolus.scans.identify import TABLE_2
+        from modiolus.scans.unknown import TABLE_2
 
         for way in ways:
             known = expression_names() if way == "hand" else TABLE_2
@@ -209,35 +193,28 @@ class _Table:
         """Return comparison, parameters, angle of the jaw, and further figures of a row."""
         from modiolus.face.expression import Expression, resolve
         from modiolus.face.jaw import opening
-        from modiolus.mechanics import Continuation
-        from modiolus.mechanics.face import face_load
         from modiolus.scans.compare import compare
-        from modiolus.scans.identify import TABLE_2, identify, muscle_set
+        from modiolus.scans.identify import identify
+        from modiolus.scans.target import ScanTarget
+        from modiolus.scans.unknown import TABLE_2, unknowns
 
         if way == "hand":
             expression = Expression.shipped(name)
             jaw = opening(expression.jaw_open)
             values = resolve(expression.activations, self.head.muscles)
-            load = face_load(self.problem, self.head, values, jaw)
-            state = Continuation(self.problem, report=progress.update).run(load)
+            state = self.face.solve(values, jaw, report=progress.update)
             found = compare(self.skin, state.parameters, scan, self.neutral)
             return found, state.parameters, jaw, {"values": values}
-        free = muscle_set([name], self.head) if way == "table2" else list(self.head.muscles)
-        prior = muscle_set([name], self.head) if name in TABLE_2 else []
+        known = [name] if name in TABLE_2 else []
         # All muscles begin where those of the paper have come to.
-        start = self._states.get(name) if way == "all" else None
         result = identify(
-            self.problem,
-            self.head,
-            scan,
-            skin=self.skin,
-            muscles=free,
-            prior=prior,
-            start=start,
-            neutral=self.neutral,
+            self.face,
+            ScanTarget(self.skin, scan, self.neutral),
+            unknowns(self.head, known if way == "table2" else None, known),
+            start=self._found.get(name) if way == "all" else None,
             report=progress.update,
         )
-        self._states[name] = result.state
+        self._found[name] = result
         placed = scan.placed(result.pose)
         found = compare(self.skin, result.state.parameters, placed, self.neutral)
         text = expression_toml(f"{name}-{way}", scan.name, result)

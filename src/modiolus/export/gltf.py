@@ -19,7 +19,7 @@ from modiolus.export.shape import Shape, linear_light, vertex_normals
 from modiolus.hermite.basis import Array
 from modiolus.hermite.check import numbers
 
-__all__ = ["write_glb"]
+__all__ = ["in_turn", "write_glb"]
 
 
 _TO_GLTF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -31,7 +31,7 @@ def write_glb(
     shapes: Sequence[Shape],
     targets: Mapping[str, Mapping[str, Array]],
     attribution: str = "",
-    seconds: float = 0.0,
+    keys: tuple[Array, Array] | None = None,
 ) -> None:
     """Write surfaces with their morph targets as one binary glTF file.
 
@@ -45,8 +45,8 @@ def write_glb(
         For the name of a shape: the vertices in mm at the full strength of each named target.
     attribution : str
         Who made the anatomy and under which licence.
-    seconds : float
-        Time that an animation gives to each target to come and go, one after the other; none for 0.
+    keys : (times (m,), weights (m, n)), optional
+        Of an animation: at each time (s) the strength of every target, such as `in_turn` returns.
 
     Raises
     ------
@@ -65,9 +65,25 @@ def write_glb(
     writer = _Writer()
     for shape in shapes:
         writer.add(shape, targets.get(shape.name, {}))
-    if seconds:
-        writer.animate(seconds)
+    if keys is not None:
+        writer.animate(*keys)
     writer.save(path, attribution)
+
+
+def in_turn(count: int, seconds: float) -> tuple[Array, Array]:
+    """Return the keys of an animation in which targets come and go, one after the other.
+
+    Parameters
+    ----------
+    count : int
+        Number of targets.
+    seconds : float
+        Time that each of them has.
+    """
+    # At rest at the even keys, and at the full strength of one target at each odd one.
+    weights = np.zeros((2 * count + 1, count))
+    weights[1::2] = np.eye(count)
+    return np.linspace(0.0, count * seconds, 2 * count + 1), weights
 
 
 class _Writer:
@@ -159,8 +175,8 @@ class _Writer:
         )
         gltf.nodes.append(pygltflib.Node(name=shape.name, mesh=len(gltf.meshes) - 1))
 
-    def animate(self, seconds: float) -> None:
-        """Let the targets come and go one after the other."""
+    def animate(self, times: Array, weights: Array) -> None:
+        """Let the targets have weights (m, n) at times (m,) in seconds."""
         gltf = self.gltf
         moving = [
             (node, mesh.extras["targetNames"])
@@ -169,15 +185,11 @@ class _Writer:
         ]
         if not moving or any(names != moving[0][1] for _, names in moving):
             raise InputError("targets: animated shapes have other ones; give all of them the same")
-        n = len(moving[0][1])
-        # At rest at the even keys, and at the full strength of one target at each odd one.
-        keys = 0.5 * seconds * np.arange(2 * n + 1, dtype=np.float32)
-        weights = np.zeros((2 * n + 1, n), dtype=np.float32)
-        weights[1::2] = np.eye(n)
-        times = self.accessor(keys, pygltflib.SCALAR, None, True)
+        numbers("weights", weights, len(times), len(moving[0][1]))
+        single = [np.asarray(part, dtype=np.float32).ravel() for part in (times, weights)]
         sampler = pygltflib.AnimationSampler(
-            input=times,
-            output=self.accessor(weights.ravel(), pygltflib.SCALAR, None, False),
+            input=self.accessor(single[0], pygltflib.SCALAR, None, True),
+            output=self.accessor(single[1], pygltflib.SCALAR, None, False),
             interpolation=pygltflib.ANIM_LINEAR,
         )
         channels = [

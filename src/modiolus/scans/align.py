@@ -14,7 +14,9 @@ from ..fitting.register import UNITS, Registration, icp, register
 from .scan import Scan
 from .skin import STILL_ZONES, Skin
 
-__all__ = ["Alignment", "align", "align_to_neutral", "place", "register_scan"]
+__all__ = [
+    *("Alignment", "align", "align_to_neutral", "believed_unit", "place", "register_scan"),
+]
 
 Array = NDArray[np.float64]
 
@@ -148,20 +150,41 @@ def register_scan(
             f"{scan.name}: no face found (it fits to {pose.rms:.1f} mm only); give a scan of the "
             "face, or landmarks"
         )
-    sizes = {name: value / pose.scale for name, value in UNITS.items()}
-    fitting = [name for name, size in sizes.items() if _SIZES[0] < size < _SIZES[1]]
+    believed_unit(scan.name, pose.scale, unit)
+    return pose
+
+
+def believed_unit(name: str, scale: float, unit: str | None) -> str:
+    """Return the unit of what fits a head at a scale.
+
+    Parameters
+    ----------
+    name : str
+        Of what was measured, for messages.
+    scale : float
+        Millimetres of the head in a unit of what was measured.
+    unit : str or None
+        The one that was given; None to find it.
+
+    Raises
+    ------
+    InputError
+        In that unit, or in any, the face would have no size that is believed.
+    """
+    sizes = {key: value / scale for key, value in UNITS.items()}
+    fitting = [key for key, size in sizes.items() if _SIZES[0] < size < _SIZES[1]]
     if not fitting:
-        close = min(sizes, key=lambda name: abs(np.log(sizes[name])))
+        close = min(sizes, key=lambda key: abs(np.log(sizes[key])))
         raise InputError(
-            f"{scan.name}: no face of a believable size (in {close} it would be "
-            f"{sizes[close]:.2g} times the head); check the scan and its unit"
+            f"{name}: no face of a believable size (in {close} it would be "
+            f"{sizes[close]:.2g} times the head); check what was measured and its unit"
         )
     if unit is not None and unit not in fitting:
         raise InputError(
-            f"{scan.name}: wrong unit, in {unit} the face would be {sizes[unit]:.3g} times "
+            f"{name}: wrong unit, in {unit} the face would be {sizes[unit]:.3g} times "
             f"as large as the head; it seems to be in {fitting[0]}"
         )
-    return pose
+    return unit or fitting[0]
 
 
 def align(scan: Scan, skin: Skin, start: Registration) -> Alignment:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..anatomy.surface import Surface
+from ..errors import InputError
 from ..face.head import Head
 from ..face.template import (
     BROW_ROW,
@@ -111,6 +113,19 @@ class Feet:
     distance: Array
     covered: BoolArray
 
+    def take(self, rows: IntArray | BoolArray) -> Feet:
+        """Return some of the feet, in the given order."""
+        return Feet(*(column[rows] for column in self.columns()))
+
+    def columns(self) -> list[NDArray[Any]]:
+        """Return the arrays in the order of the attributes."""
+        return [getattr(self, item.name) for item in fields(self)]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Feet]) -> Feet:
+        """Return the feet of several sets, one after the other."""
+        return cls(*map(np.concatenate, zip(*(part.columns() for part in parts), strict=True)))
+
 
 class Skin:
     """The outer surface of a head with the margins of lips and lids.
@@ -123,10 +138,6 @@ class Skin:
     ----------
     mesh : HermiteMesh
         Surface mesh that shares the tissue's parameters.
-    region : (n_elements,) int array
-        Index into `REGIONS` for every element of the mesh.
-    zone : (n_elements,) int array
-        Index into `STILL_ZONES`, of the left side; -1 where the skin moves.
     side : (n_elements,) int array
         Beside a slit 1 + the index of the margin: upper lip, lower lip, upper lid, lower lid;
         0 elsewhere.
@@ -139,14 +150,21 @@ class Skin:
         sides = [head.sides[name] for name in names]
         self.mesh, self.outward = head.tissue.boundary(sides)
         hosts = np.concatenate([elements for elements, _, _ in sides])
-        self.region = _region_grid()[hosts % (ROWS * COLUMNS)]
-        self.zone = _still_grid()[hosts % (ROWS * COLUMNS)]
+        self._hosts = hosts
         self.side = np.zeros(len(hosts), dtype=np.int64)
         margin = np.repeat(np.arange(5), [len(elements) for elements, _, _ in sides])
+        corners = head.tissue.corner_nodes()[0]
         for number, name in enumerate(names[1:], 1):
             beside = head.sides[name][0]
-            # One more row beyond the margin belongs to the same lip or lid.
-            further = beside + (COLUMNS if head.sides[name][2] == 0 else -COLUMNS)
+            # One more row beyond the margin belongs to the same lip or lid: what shares the edge
+            # of the skin across from it.
+            axis, end = head.sides[name][1:]
+            shares = [
+                ((np.arange(8) >> axis) & 1 == side) & (np.arange(8) >> 2 == 1)
+                for side in (1 - end, end)
+            ]
+            far, near_edge = (np.sort(corners[:, share], axis=1) for share in shares)
+            further = np.flatnonzero((near_edge[:, None] == far[beside]).all(axis=2).any(axis=1))
             near = np.isin(hosts, np.concatenate([beside, further])) & (margin == 0)
             self.side[near | (margin == number)] = number
         self.pieces = tessellate(self.mesh, _DIVISIONS, self.outward)
@@ -185,6 +203,66 @@ class Skin:
         self.around = np.array(
             [sorted(owner) + [-1] * (width - len(owner)) for owner in owners], dtype=np.int64
         )
+
+    @cached_property
+    def region(self) -> IntArray:
+        """Index into `REGIONS` for every element of the mesh, (n_elements,).
+
+        Raises
+        ------
+        InputError
+            The skin is not divided as that of the template.
+        """
+        return np.asarray(_region_grid()[self._cells()])
+
+    @cached_property
+    def zone(self) -> IntArray:
+        """Index into `STILL_ZONES`, of the left side; -1 where the skin moves, (n_elements,).
+
+        Raises
+        ------
+        InputError
+            The skin is not divided as that of the template.
+        """
+        return np.asarray(_still_grid()[self._cells()])
+
+    def _cells(self) -> IntArray:
+        """Return the place of every element in the grid of the template."""
+        count = len(self.head.sides["outer"][0])
+        if count != ROWS * COLUMNS:
+            raise InputError(
+                f"{self.head.name}: its skin has {count} elements, the template's {ROWS * COLUMNS} "
+                "tell the regions of a face; give the head before it was refined"
+            )
+        return self._hosts % (ROWS * COLUMNS)
+
+    def landmarks(self) -> tuple[list[str], Feet]:
+        """Return the names of the head's landmarks, of both sides, and their feet.
+
+        Raises
+        ------
+        InputError
+            A landmark is not on the skin.
+        """
+        points = self.head.landmark_points()
+        names = list(points)
+        elements, xi = [], []
+        for name in names:
+            element, place = (
+                self.head.landmarks.get(name) or self.head.landmarks[name.rpartition("_")[0]]
+            )
+            found = np.flatnonzero(self._hosts[: len(self.head.sides["outer"][0])] == element)
+            if not len(found) or place[2] != 1.0:
+                raise InputError(f"{name}: it is not on the skin of {self.head.name}; move it")
+            elements.append(int(found[0]))
+            xi.append(place[:2])
+        mirrored = np.array([name.endswith("_right") for name in names])
+        none = np.zeros((len(names), 3))
+        feet = Feet(
+            np.array(elements), np.array(xi), mirrored, none, none, none[:, 0], mirrored | True
+        )
+        rest = self.head.tissue.parameters
+        return names, replace(feet, points=self.places(feet, rest), normals=self.turned(feet, rest))
 
     @cached_property
     def mirror(self) -> Mirror:
@@ -232,6 +310,27 @@ class Skin:
         ):
             mesh = self.mesh.with_parameters(half)
             out[rows] = self.outward_normals(mesh, feet.elements[rows], feet.xi[rows])
+        out[feet.mirrored, 0] *= -1.0
+        return out
+
+    def motion(self, feet: Feet, change: Array) -> Array:
+        """Return how the places of some feet change with the parameters, (n, 3, k).
+
+        Parameters
+        ----------
+        feet : Feet
+        change : (n_params, 3, k) array
+            Of the tissue's parameters, of one half or of both.
+        """
+        n, k = self.head.tissue.n_params, change.shape[2]
+        sides = change, change
+        if len(change) != n:
+            image = np.asarray(self.head.both.image @ change.reshape(len(change), -1))
+            sides = change[:n], image.reshape(n, 3, k) * [[-1.0], [1.0], [1.0]]
+        out = np.empty((len(feet.elements), 3, k))
+        for side, rows in zip(sides, (~feet.mirrored, feet.mirrored), strict=True):
+            functions = self.mesh.functions(feet.elements[rows], feet.xi[rows])
+            out[rows] = np.asarray(functions @ side.reshape(n, -1)).reshape(-1, 3, k)
         out[feet.mirrored, 0] *= -1.0
         return out
 
@@ -297,17 +396,13 @@ class SkinState:
             found = Feet(
                 *(
                     np.where(right if a.ndim == 1 else right[:, None], b, a)
-                    for a, b in zip(_columns(found), _columns(other), strict=True)
+                    for a, b in zip(found.columns(), other.columns(), strict=True)
                 )
             )
         feet, outward = found.points.copy(), found.normals.copy()
         feet[right] = head.mirror(feet[right])
         outward[right, 0] *= -1.0
         return replace(found, mirrored=right, points=feet, normals=outward)
-
-
-def _columns(feet: Feet) -> list[NDArray[Any]]:
-    return [getattr(feet, item.name) for item in fields(feet)]
 
 
 class _Half:

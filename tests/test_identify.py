@@ -1,0 +1,314 @@
+"""Unknowns found from what was measured: slopes, targets, markers, and the search."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from modiolus.anatomy.surface import Surface
+from modiolus.cli import main
+from modiolus.errors import InputError, SolveError
+from modiolus.face.head import Head
+from modiolus.face.refine import refined
+from modiolus.fitting.register import Registration
+from modiolus.mechanics import Continuation, Settings
+from modiolus.mechanics.face import Face, FaceSettings, face_problem
+from modiolus.scans.identify import _certainty, _Point, identify
+from modiolus.scans.markers import Frame, bind, read_markers
+from modiolus.scans.scan import Scan
+from modiolus.scans.skin import Skin
+from modiolus.scans.target import MarkerTarget, Matches, ScanTarget
+from modiolus.scans.unknown import Driven, Unknown, muscle_set, unknowns
+
+STILL = Registration(1.0, np.eye(3), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def taro():
+    return Head.load("taro")
+
+
+@pytest.fixture(scope="module")
+def skin(taro):
+    return Skin(taro)
+
+
+def scan_of(surface, name="scan"):
+    return Scan(name, surface.vertices, surface.vertex_normals, surface)
+
+
+def markers_on(skin, parameters):
+    """Markers all over the skin, where a state has taken them."""
+    rest = skin.head.tissue.parameters
+    feet = skin.state(rest).feet(skin.surface(rest).vertices[::5])
+    points = skin.places(feet, parameters)
+    return MarkerTarget(skin, feet, points, np.zeros_like(points), known_pose=True)
+
+
+# --- the unknowns
+
+
+@pytest.mark.parametrize("sides", [False, True])
+def test_slopes_of_all_unknowns_agree_with_finite_differences(block_head, sides):
+    face = Face(block_head)
+    head = block_head.whole if sides else block_head
+    further = ("jaw",) if sides else ("jaw", "sigma_max", "fat", "passive", "skin")
+    items = unknowns(head, None, (), further)
+    driven = Driven(face, items)
+    tight = Settings(tolerance=1e-11, passing=1e-6, augmentations=0)
+    values = np.array([u.usual + (0.1 * u.scale if u.low == 0.0 else 0.0) for u in items])
+    path = Continuation(driven.problem(values), settings=tight)
+    path.run(driven.load(values))
+    found = driven.slopes(path, values)
+    for k, item in enumerate(items):
+        ends = []
+        for sign in (1.0, -1.0):
+            there = values.copy()
+            there[k] += sign * 1e-4 * item.scale
+            trial = Continuation(driven.problem(there), path.state, settings=tight)
+            ends.append(trial.run(driven.load(there)).parameters)
+        slope = (ends[0] - ends[1]) / (2e-4 * item.scale)
+        assert np.abs(slope).max() > 1e-3 / item.scale, item.name
+        assert np.abs(slope - found[:, :, k]).max() < 1e-5 * np.abs(slope).max(), item.name
+
+
+def test_other_tissue_is_that_of_a_problem_made_anew(block_head):
+    settings = FaceSettings(fat=1.7, passive=0.6, skin=2.0, sigma_max=450.0)
+    face = Face(block_head)
+    made, driven = (
+        face_problem(block_head, settings),
+        Driven(face, unknowns(block_head, None, (), ("fat", "passive", "skin", "sigma_max"))),
+    )
+    values = [getattr(settings, u.name, 0.3) for u in driven.unknowns]
+    varied = driven.problem(np.array(values))
+    parameters = block_head.tissue.parameters * 1.01
+    pressure = made.rest().pressure
+    load = made.load({"strap": 0.3})
+    one, other = (p.evaluate(parameters, pressure, load) for p in (made, varied))
+    assert np.abs(one.residual - other.residual).max() < 1e-12 * np.abs(one.residual).max()
+    assert one.energies == pytest.approx(other.energies, rel=1e-12)
+    usual = face.half.evaluate(parameters, pressure, load)
+    assert np.abs(one.residual - usual.residual).max() > 1e-2 * np.abs(one.residual).max()
+
+
+def test_names_of_muscles_of_table_2_and_of_further_unknowns(taro, block_head):
+    assert muscle_set(["frontalis", "mentalis"], taro) == [
+        *("mentalis", "frontalis_medial", "frontalis_lateral"),
+    ]
+    assert len(muscle_set(["smile-closed"], taro)) == 6
+    assert muscle_set(["strap_left"], block_head.whole) == ["strap_left"]
+    assert muscle_set(["strap"], block_head.whole) == ["strap_left", "strap_right"]
+    with pytest.raises(InputError, match="zygomaticus_major"):
+        muscle_set(["zygomaticus"], taro)
+    with pytest.raises(InputError, match="sigma_max"):
+        unknowns(taro, [], (), ["sigma"])
+    with pytest.raises(InputError, match="there are none"):
+        unknowns(taro, [])
+    costs = {u.name: u.cost for u in unknowns(taro, None, ["frontalis"], ["jaw"])}
+    assert costs["frontalis_medial"] < costs["mentalis"] and costs["jaw"] == 0.0
+
+
+# --- the search
+
+
+def test_activation_jaw_and_tissue_come_back_from_markers(block_head):
+    face, skin = Face(block_head), Skin(block_head)
+    items = unknowns(block_head, None, (), ("jaw", "fat"))
+    true = np.array([0.4, np.radians(5.0), 1.6])
+    driven = Driven(face, items)
+    state = Continuation(driven.problem(true)).run(driven.load(true))
+    target = markers_on(skin, state.parameters)
+    found = identify(face, target, items)
+    assert found.history[-1] < 2e-2 * found.history[0]
+    assert found.values["strap"] == pytest.approx(0.4, abs=0.03)
+    assert found.values["jaw"] == pytest.approx(np.radians(5.0), rel=0.03)
+    assert found.values["fat"] == pytest.approx(1.6, rel=0.1)
+    assert found.activations == {"strap": found.values["strap"]}
+    # From there, the same frame again costs next to nothing.
+    again = identify(face, target, items, start=found)
+    assert again.solves <= 2 and again.values["strap"] == pytest.approx(0.4, abs=0.03)
+
+
+def test_sides_are_told_apart(block_head):
+    face, skin = Face(block_head), Skin(block_head)
+    state = face.solve({"strap_left": 0.5, "strap_right": 0.1})
+    target = markers_on(skin, state.parameters)
+    found = identify(face, target, unknowns(block_head.whole))
+    assert found.values["strap_left"] == pytest.approx(0.5, abs=0.03)
+    assert found.values["strap_right"] == pytest.approx(0.1, abs=0.03)
+
+
+def objective(driven, target, unknown, path, values):
+    """Energy of the whole objective at some values, from an equilibrium nearby."""
+    trial = Continuation(driven.problem(values), path.state, settings=path.settings)
+    state = trial.run(driven.load(values))
+    point = _Point(values, STILL, state, target, unknown)
+    return point.energy(1.0)
+
+
+def test_the_gradient_of_the_objective_agrees_with_finite_differences(block_head):
+    face, skin = Face(block_head), Skin(block_head)
+    items = unknowns(block_head, None, (), ("jaw", "fat"))
+    driven = Driven(face, items)
+    target = markers_on(skin, face.solve({"strap": 0.6}).parameters)
+    values = np.array([0.35, 0.03, 1.2])
+    path = Continuation(
+        driven.problem(values), settings=Settings(tolerance=1e-12, passing=1e-6, augmentations=0)
+    )
+    path.run(driven.load(values))
+    point = _Point(values, STILL, path.state, target, items)
+    point.mean = 1.0
+    slopes = point.matches.slopes(skin, driven.slopes(path, values))
+    gradient = point.gradient(slopes)
+    for k, item in enumerate(items):
+        ends = []
+        for factor in (2.0, 1.0, -1.0, -2.0):
+            there = values.copy()
+            there[k] += factor * 2e-4 * item.scale
+            ends.append(objective(driven, target, items, path, there))
+        # Of fourth order.
+        slope = (8.0 * (ends[1] - ends[2]) - (ends[0] - ends[3])) / (12.0 * 2e-4)
+        assert slope == pytest.approx(gradient[k], rel=1e-6), item.name
+
+
+def test_the_gradient_of_the_distances_agrees_with_finite_differences(taro, skin):
+    names = ["zygomaticus_major", "frontalis_lateral"]
+    path = Continuation(face_problem(taro))
+    change = path.sensitivities(names)
+    rest = taro.tissue.parameters
+    surface = skin.surface(rest)
+    bump = 0.2 * np.sin(0.2 * surface.vertices[:, :1]) * surface.vertex_normals
+    neutral = scan_of(Surface(surface.vertices + bump, surface.faces, "neutral"))
+    smile = skin.surface(rest + 0.1 * change[:, :, 0]).vertices
+    target = ScanTarget(skin, scan_of(Surface(smile + bump, surface.faces, "smile")), neutral)
+    parameters = rest + 0.04 * change.sum(axis=2)
+    target.renew(parameters, STILL)
+    matches = target.matches(parameters, STILL)
+    weight, residual = matches.weight, matches.residual
+    slopes = matches.slopes(skin, change)[:, :2]
+    step = 1e-6
+    for k in range(2):
+        ends = [
+            target.matches(parameters + h * change[:, :, k], STILL).residual for h in (step, -step)
+        ]
+        assert len(ends[0]) == len(ends[1]) == len(residual)
+        # Where the closest point jumps, as across a slit, there is no derivative.
+        found = (ends[0] - ends[1]) / (2.0 * step)
+        smooth = np.abs(ends[0] + ends[1] - 2.0 * residual) < 1e-9
+        assert smooth.mean() > 0.99
+        gradient = 2.0 * (weight * residual * slopes[:, k])[smooth].sum()
+        assert 2.0 * (weight * residual * found)[smooth].sum() == pytest.approx(gradient, rel=1e-6)
+        assert abs(gradient) > 1e-3
+
+
+def test_certainty_names_muscles_that_do_the_same():
+    rng = np.random.default_rng(5)
+    n = 400
+    slopes = rng.standard_normal((n, 2))
+    matrix = np.hstack([slopes, slopes[:, :1] + 1e-2 * rng.standard_normal((n, 1))])
+    matrix = np.hstack([matrix, rng.standard_normal((n, 6))])
+    feet = type("Feet", (), {"points": 200.0 * rng.random((n, 3))})()
+    point = _Point.__new__(_Point)
+    point.matches = Matches(
+        feet, np.zeros((n, 3)), 0.3 * np.ones(n), 50.0 * rng.random((n, 3)), np.full(n, 1.0 / n)
+    )
+    point.mean, point.pose_cost, point.scales = 0.09, 0.1, np.ones(3)
+    point.unknowns = [Unknown(name, 0.0, 1.0, 1.0) for name in "abc"]
+    deviations, pairs = _certainty(matrix, point)
+    assert [set(pair[:2]) for pair in pairs] == [{"a", "c"}] and pairs[0][2] < -0.99
+    assert deviations["a"] > 10.0 * deviations["b"]
+
+
+def test_scans_that_cannot_be_matched_are_refused(taro, skin, block_head):
+    surface = skin.surface(taro.tissue.parameters)
+    # A few triangles of the forehead, as seen from inside.
+    corners = surface.vertices[surface.faces]
+    high = (corners[:, :, 2] > surface.vertices[:, 2].max() - 20.0).all(axis=1)
+    high &= (np.abs(corners[:, :, 0] - taro.midplane) < 10.0).all(axis=1)
+    inward = Surface(surface.vertices, surface.faces[high][:, ::-1])
+    with pytest.raises(InputError, match=r"inward.ply: from the front none"):
+        ScanTarget(skin, scan_of(inward, "inward.ply"))
+    away = Surface(surface.vertices - np.array([0.0, 100.0, 0.0]), surface.faces)
+    with pytest.raises(SolveError, match=r"away.ply: it does not meet"):
+        ScanTarget(skin, scan_of(away, "away.ply")).matches(taro.tissue.parameters, STILL)
+    finer = Skin(refined(block_head, (2, 2, 1)))
+    with pytest.raises(InputError, match=r"block: its skin has 32 elements.*before it was refined"):
+        _ = finer.region
+
+
+# --- markers
+
+
+def test_markers_are_read_frame_by_frame(tmp_path):
+    path = tmp_path / "take.csv"
+    path.write_text(
+        "\ufeffframe, marker, x, y, z\n10, a, 1, 2, 3\n10, b, 4, 5, 6\n9, a, 7, 8, 9\n9, b, , ,\n"
+        "8, a, nan, nan, nan\n"
+    )
+    frames = read_markers(path, rate=10.0)
+    assert [frame.time for frame in frames] == [0.9, 1.0]
+    assert list(frames[0].points) == ["a"] and frames[1].points["b"].tolist() == [4, 5, 6]
+    for text, fault in [
+        ("x,y,z\n1,2,3\n", "line 2 has no marker"),
+        ("marker,x,y,z\na,1,2\n", "line 2 has no numbers"),
+        ("time,marker,x,y,z\nsoon,a,1,2,3\n", "line 2 has a time"),
+        ("marker,x,y,z\na,1,2,3\na,1,2,3\n", "a is there twice"),
+        ("marker,x,y,z\n", "no markers"),
+    ]:
+        path.write_text(text)
+        with pytest.raises(InputError, match=fault):
+            read_markers(path)
+
+
+def test_markers_are_bound_by_name_and_by_place_in_any_pose(taro, skin):
+    rest = taro.tissue.parameters
+    surface = skin.surface(rest)
+    rng = np.random.default_rng(2)
+    feet = skin.state(rest).feet(surface.vertices)
+    zone = skin.zones(feet)
+    still = [int(np.flatnonzero(zone == k)[40]) for k in range(4)]
+    picked = [*still, *rng.choice(np.flatnonzero(zone < 0), 10, replace=False).tolist()]
+    turn = Rotation.from_euler("xyz", [100.0, 20.0, -30.0], degrees=True).as_matrix()
+
+    def measured(points, turn, shift):
+        return 0.1 * (points @ turn.T) + shift
+
+    known = {
+        name: taro.landmark_points()[name] for name in ("chin", "ala_left", "inner_brow_right")
+    }
+    above = surface.vertices + 2.0 * surface.vertex_normals
+    points = known | {f"m{k}": above[k] for k in picked} | {"cap": np.array([0.0, -80.0, 1700.0])}
+    frame = Frame(0.0, {k: measured(p, turn, 5.0) for k, p in points.items()})
+    marked = bind(skin, frame, frame, where="take.csv")
+    assert marked.left_out == ["cap"] and len(marked.names) == len(points) - 1
+    at = marked.names.index("chin")
+    assert np.allclose(marked.feet.points[at], known["chin"])
+    assert marked.pose.scale == pytest.approx(10.0, rel=1e-6)
+    gap = np.linalg.norm(marked.rest - marked.feet.points, axis=1)
+    assert np.allclose(gap[3:], 2.0, atol=0.05)
+
+    # The head turns, the chin drops: only that is left when the still markers are in place.
+    other = Rotation.from_euler("z", 25.0, degrees=True).as_matrix() @ turn
+    dropped = points | {"chin": known["chin"] - [0.0, 0.0, 6.0]}
+    target = marked.target(Frame(1.0, {k: measured(p, other, -3.0) for k, p in dropped.items()}))
+    assert target.known_pose
+    gaps = target.matches(rest, STILL).residual.reshape(-1, 3)
+    assert np.allclose(gaps[at], [0.0, 0.0, -6.0], atol=1e-6)
+    assert np.abs(np.delete(gaps, at, axis=0)).max() < 1e-6
+
+    with pytest.raises(InputError, match="frame at 2 s: 1 markers"):
+        marked.target(Frame(2.0, {"chin": np.zeros(3)}))
+    few = Frame(0.0, {k: frame.points[k] for k in ("chin", "cap")})
+    with pytest.raises(InputError, match=r"1 places of the head are known.*--landmarks"):
+        bind(skin, few, few, where="take.csv")
+    with pytest.raises(InputError, match=r"wrong unit, in m .*in cm"):
+        bind(skin, frame, frame, unit="m")
+
+
+# --- the command line
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as left:
+        main([str(argument) for argument in arguments])
+    printed = capsys.readouterr()
+    return left.value.code, printed.out, printed.err
