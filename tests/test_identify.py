@@ -1,19 +1,26 @@
 """Unknowns found from what was measured: slopes, targets, markers, and the search."""
 
+import csv
+import json
+
 import numpy as np
+import pygltflib
 import pytest
 from scipy.spatial.transform import Rotation
 
 from modiolus.anatomy.surface import Surface
 from modiolus.cli import main
 from modiolus.errors import InputError, SolveError
+from modiolus.face.expression import Expression
 from modiolus.face.head import Head
 from modiolus.face.refine import refined
 from modiolus.fitting.register import Registration
-from modiolus.mechanics import Continuation, Settings
+from modiolus.mechanics import Continuation, Load, Settings, State
 from modiolus.mechanics.face import Face, FaceSettings, face_problem
-from modiolus.scans.identify import _certainty, _Point, identify
+from modiolus.scans.align import place
+from modiolus.scans.identify import Identification, _certainty, _Point, identify
 from modiolus.scans.markers import Frame, bind, read_markers
+from modiolus.scans.result import load_result
 from modiolus.scans.scan import Scan
 from modiolus.scans.skin import Skin
 from modiolus.scans.target import MarkerTarget, Matches, ScanTarget
@@ -312,3 +319,117 @@ def run(capsys, *arguments):
         main([str(argument) for argument in arguments])
     printed = capsys.readouterr()
     return left.value.code, printed.out, printed.err
+
+
+def take_of(skin, path, states, names):
+    """Write landmarks and others of the skin in some states as markers, a frame each."""
+    labels, known = skin.landmarks()
+    rest = skin.head.tissue.parameters
+    other = skin.state(rest).feet(skin.surface(rest).vertices[3::200])
+    rows = ["frame,marker,x_mm,y_mm,z_mm"]
+    for number, parameters in enumerate(states):
+        points = [*skin.places(known, parameters), *skin.places(other, parameters)]
+        for name, point in zip([*labels, *(f"m{k}" for k in range(200))], points, strict=False):
+            if name in names or name.startswith("m"):
+                rows.append(f"{number},{name},{','.join(map(str, point))}")
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_a_sequence_becomes_a_table_expressions_and_an_animation(
+    capsys, monkeypatch, taro, skin, tmp_path
+):
+    rest = taro.tissue.parameters
+    moved = [rest.copy() for _ in range(3)]
+    for number, parameters in enumerate(moved):
+        parameters[:, 1] -= number * taro.both.ones
+    take_of(skin, tmp_path / "take.csv", moved, ["chin", "ala_left", "ala_right"])
+    starts = []
+
+    def found(face, target, items, *, start=None, report=None):
+        report(1.0, "done")
+        starts.append(start)
+        number = len(starts) - 1
+        values = {u.name: 0.25 * number * u.scale for u in items}
+        if number == 1:
+            raise SolveError("the second frame: not met")
+        load = Driven(face, items).load(np.array(list(values.values())))
+        state = State(taro.tissue, moved[number], np.zeros(0), np.zeros((252, 0), int), load)
+        few = dict.fromkeys(values, 0.01)
+        return Identification(values, state, STILL, (1.0, 0.5), few, (), ("mentalis",), 2)
+
+    monkeypatch.setattr("modiolus.scans.identify.identify", found)
+    monkeypatch.setattr(Face, "half", property(lambda face: None))
+    monkeypatch.setattr(
+        "modiolus.scans.unknown.face_load",
+        lambda problem, head, activations, jaw: Load(activations, None, jaw),
+    )
+    out = tmp_path / "out"
+    code, printed, error = run(
+        capsys,
+        *("identify", "--markers", tmp_path / "take.csv", "--rate", "10", "--unknown", "jaw"),
+        *("--muscles", "mentalis,zygomaticus_major", "--out", out, "--json"),
+    )
+    assert code == 0, error
+    record = json.loads(printed)
+    assert [row["frame"] for row in record["frames"]] == ["take-1", "take-2", "take-3"]
+    assert record["frames"][1]["fault"].startswith("the second") and not record["left_out"]
+    # The third frame begins where the first one has come to.
+    assert starts[0] is None and starts[1] is starts[2] is not None
+    folder = out / "identify-take"
+    with (folder / "activations.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["time"] for row in rows] == ["0.0", "0.2"]
+    assert rows[1]["mentalis"] == "0.1" and float(rows[1]["jaw_open"]) == pytest.approx(5.0)
+    expression = Expression.read(folder / "frames" / "take-3" / "take-3.toml")
+    assert expression.activations == {"mentalis": 0.1, "zygomaticus_major": 0.5}
+    assert expression.jaw_open == pytest.approx(5.0, abs=1e-4)
+
+    frames = sorted((folder / "frames").iterdir())
+    assert load_result(frames[1]).time == pytest.approx(0.2)
+    code, printed, error = run(capsys, "export", *frames, "--glb", out / "faces", "--json")
+    assert code == 0, error
+    assert json.loads(printed)["seconds"] == pytest.approx(0.2)
+    model = pygltflib.GLTF2().load_binary(str(out / "faces" / "faces.glb"))
+    assert model.animations and model.meshes[0].extras["targetNames"] == ["take-1", "take-3"]
+
+
+@pytest.mark.slow
+def test_markers_of_a_smile_are_followed(capsys, taro, skin, tmp_path):
+    face = Face(taro)
+    states = [face.half.rest().parameters]
+    for value in (0.2, 0.4):
+        states.append(face.solve({"zygomaticus_major": value, "mentalis": 0.2}).parameters)
+    take_of(skin, tmp_path / "take.csv", states, ["chin", "ala_left", "ala_right"])
+    code, printed, error = run(
+        capsys,
+        *("identify", "--markers", tmp_path / "take.csv", "--out", tmp_path / "out", "--json"),
+        *("--muscles", "mentalis,zygomaticus_major,risorius"),
+    )
+    assert code == 0, error
+    for row, value in zip(json.loads(printed)["frames"], (0.0, 0.2, 0.4), strict=True):
+        assert row["activations"]["zygomaticus_major"] == pytest.approx(value, abs=0.03)
+        assert row["activations"]["mentalis"] == pytest.approx(0.2 * (value > 0.0), abs=0.03)
+        assert row["activations"]["risorius"] < 0.03
+
+
+@pytest.mark.slow
+def test_activations_come_back_from_a_noisy_scan_in_any_pose(taro, skin):
+    rng = np.random.default_rng(0)
+    true = {
+        "zygomaticus_major": 0.64,
+        "zygomaticus_minor": 0.27,
+        "levator_anguli_oris": 0.01,
+        "depressor_anguli_oris": 0.0,
+        "depressor_labii_inferioris": 0.16,
+        "mentalis": 0.18,
+    }
+    face = Face(taro)
+    surface = skin.surface(face.solve(true).parameters)
+    noise = 0.3 * rng.standard_normal((len(surface.vertices), 1)) * surface.vertex_normals
+    turn = Rotation.random(rng=rng).as_matrix()
+    moved = Surface((surface.vertices + noise) @ turn.T + 100.0, surface.faces, "smile")
+    placed, _, _ = place(scan_of(moved), skin)
+    found = identify(face, ScanTarget(skin, placed), unknowns(taro, list(true)))
+    for name, value in true.items():
+        assert abs(found.activations[name] - value) < 0.03 or name in found.unsure
+    assert found.history[-1] < 0.35 < found.history[0]
