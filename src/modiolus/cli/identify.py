@@ -37,6 +37,16 @@ if TYPE_CHECKING:
 
     Pairs = tuple[np.ndarray, np.ndarray] | None
 
+Further = Annotated[
+    str,
+    typer.Option(
+        "--unknown",
+        metavar="NAME,…",
+        help="What else is to be found: jaw (its opening), sigma_max, fat, passive, skin (how "
+        "strong muscles are, how stiff fat, muscles and skin).",
+    ),
+]
+
 
 @app.command(
     epilog="Examples: modiolus identify --head heads/anna --scan smile.ply --neutral neutral.ply "
@@ -77,15 +87,7 @@ def identify(
             "--prior", metavar="NAME,…", help="Those that are expected; the others cost more."
         ),
     ] = "",
-    unknown: Annotated[
-        str,
-        typer.Option(
-            "--unknown",
-            metavar="NAME,…",
-            help="What else is to be found: jaw (its opening), sigma_max, fat, passive, skin (how "
-            "strong muscles are, how stiff fat, muscles and skin).",
-        ),
-    ] = "",
+    unknown: Further = "",
     sides: Annotated[
         bool, typer.Option("--sides", help="Let the muscles of both sides differ.")
     ] = False,
@@ -119,10 +121,10 @@ def identify(
         raise InputError(f"--rate {rate:g}: not within 0 to 10000 Hz; give a number in there")
     chosen = Head.load(head)
     working = chosen.whole if sides else chosen
-    free = None if muscles == "all" else _names(muscles)
+    free = None if muscles == "all" else listed(muscles)
     if free == []:
         raise InputError("--muscles: none given; name some, an expression, or all")
-    wanted = unknowns(working, free, _names(prior), _names(unknown))
+    wanted = unknowns(working, free, listed(prior), listed(unknown))
     pairs = None if landmarks is None else read_landmarks(landmarks, chosen)
     measured: _Scans | _Markers
     if scan is not None:
@@ -397,7 +399,8 @@ def _most(activations: dict[str, float]) -> str:
 ACTIVATION_HEADINGS = ("unknown", "value", "standard deviation")
 
 
-def _names(text: str) -> list[str]:
+def listed(text: str) -> list[str]:
+    """Return the names in a list with commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
 
 

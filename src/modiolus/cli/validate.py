@@ -11,7 +11,7 @@ import typer
 
 from modiolus.cli.app import Json, Out, Quiet, app, show
 from modiolus.cli.compare import Landmarks, Unit, text_table
-from modiolus.cli.identify import expression_toml, identified
+from modiolus.cli.identify import Further, expression_toml, identified, listed
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError, SolveError, unknown_name
 from modiolus.files import folder_name
@@ -53,6 +53,7 @@ def validate(
             help="The person's own head; by default taro is morphed to the neutral surface.",
         ),
     ] = "",
+    unknown: Further = "",
     posed: Annotated[
         bool,
         typer.Option("--posed", help="The scans are in one frame and the skull has not moved."),
@@ -68,9 +69,11 @@ def validate(
     """
     from modiolus.face.head import Head
     from modiolus.scans.scan import known_unit, read_scan, scan_files
+    from modiolus.scans.unknown import unknowns
 
     known_unit(unit)
-    ways = [way.strip() for way in activations.split(",") if way.strip()]
+    ways = list(dict.fromkeys(listed(activations)))
+    further = listed(unknown)
     for way in ways:
         if way not in WAYS:
             raise unknown_name("way", way, WAYS)
@@ -80,7 +83,7 @@ def validate(
     if "neutral" not in files:
         raise InputError(f"{folder}: no neutral surface; put neutral.ply into it")
     neutral = read_scan(files.pop("neutral"))
-    wanted = [name.strip().replace("_", "-") for name in expressions.split(",") if name.strip()]
+    wanted = [name.replace("_", "-") for name in listed(expressions)]
     for name in wanted:
         if name not in files:
             raise unknown_name("expression", name, files)
@@ -88,9 +91,17 @@ def validate(
     scans = {name: read_scan(files[name]) for name in order if not wanted or name in wanted}
     if not scans:
         raise InputError(f"{folder}: only the neutral surface; add one for every expression")
+    rows = [(name, way) for name in scans for way in ways if _applies(way, name)]
+    if not rows:
+        raise InputError(
+            f"{folder}: none of {', '.join(scans)} is an expression of {' or '.join(ways)}; "
+            "let activations of all muscles be found"
+        )
     subject = folder_name("FOLDER", folder.resolve().name)
     target = out / f"validate-{subject}"
     chosen = Head.load(head or "taro")
+    # What is not known is told before anything is computed.
+    unknowns(chosen, None, (), further)
     with whole_folder(target, marker="report.json") as draft:
         from modiolus.face.landmarks import read_landmarks
         from modiolus.face.morph import morph_head
@@ -118,9 +129,9 @@ def validate(
                     if posed
                     else align_to_neutral(scan, neutral, skin, pose)
                 )
-        table = _Table(chosen, skin, neutral.placed(pose), draft, target, quiet)
-        for name, scan in scans.items():
-            table.add(name, scan.placed(alignments[name].pose), alignments[name], ways)
+        table = _Table(chosen, skin, neutral.placed(pose), further, draft, target, quiet)
+        for name, way in rows:
+            table.add(name, scans[name].placed(alignments[name].pose), way)
         record: dict[str, Any] = {
             "head": chosen.name,
             "morph": quality,
@@ -141,51 +152,59 @@ def validate(
         raise SolveError(f"validate: {', '.join(failed)} did not converge; see {page}")
 
 
+def _applies(way: str, name: str) -> bool:
+    """Tell whether there is such a way to choose the activations of an expression."""
+    from modiolus.face.expression import expression_names
+    from modiolus.scans.unknown import TABLE_2
+
+    return way == "all" or name in (expression_names() if way == "hand" else TABLE_2)
+
+
 class _Table:
     """The rows of the table, and the files that go with them."""
 
     def __init__(
-        self, head: Any, skin: Any, neutral: Any, draft: Path, target: Path, quiet: bool
+        self,
+        head: Any,
+        skin: Any,
+        neutral: Any,
+        further: list[str],
+        draft: Path,
+        target: Path,
+        quiet: bool,
     ) -> None:
         from modiolus.export.scene import FaceScene
         from modiolus.mechanics.face import Face
 
-        self.head, self.skin, self.neutral = head, skin, neutral
+        self.head, self.skin, self.neutral, self.further = head, skin, neutral, further
         self.draft, self.target, self.quiet = draft, target, quiet
         self.face, self.scene = Face(head), FaceScene(head)
         self.rows: list[dict[str, Any]] = []
         self._found: dict[str, Any] = {}
         self._pictures: list[tuple[str, Path]] = []
 
-    def add(self, name: str, scan: Any, alignment: Any, ways: list[str]) -> None:
-        """Compute one expression in every way that applies to it."""
-        from modiolus.face.expression import expression_names
-        from modiolus.scans.unknown import TABLE_2
+    def add(self, name: str, scan: Any, way: str) -> None:
+        """Compute one expression in one way."""
+        began = time.perf_counter()
+        title = f"{name}, {way}"
+        try:
+            with Progress(title, quiet=self.quiet) as progress:
+                found, moved, jaw, extra = self._solve(name, scan, way, progress)
+                error = found.distances.of(found.distances.error, found.distances.covered)
+                progress.update(
+                    1.0, f"{error.rms:.3f} mm, explained {found.distances.explained:.0%}"
+                )
+        except SolveError as error:
+            self.rows.append(self._row(name, way, None, began) | {"fault": str(error)})
+            return
+        self.rows.append(self._row(name, way, found, began) | extra)
+        from modiolus.view.compare import draw_comparison
 
-        for way in ways:
-            known = expression_names() if way == "hand" else TABLE_2
-            if way != "all" and name not in known:
-                continue
-            began = time.perf_counter()
-            title = f"{name}, {way}"
-            try:
-                with Progress(title, quiet=self.quiet) as progress:
-                    found, moved, jaw, extra = self._solve(name, scan, way, progress)
-                    error = found.distances.of(found.distances.error, found.distances.covered)
-                    progress.update(
-                        1.0, f"{error.rms:.3f} mm, explained {found.distances.explained:.0%}"
-                    )
-            except SolveError as error:
-                self.rows.append(self._row(name, way, None, began) | {"fault": str(error)})
-                continue
-            self.rows.append(self._row(name, way, found, began) | extra)
-            from modiolus.view.compare import draw_comparison
-
-            picture = self.draft / f"{name}-{way}.png"
-            rest = self.head.tissue.parameters
-            draw_comparison(self.scene, rest, moved, found, title, picture, jaw)
-            self._pictures.append((title, picture))
-            self.rows[-1]["picture"] = str(self.target / picture.name)
+        picture = self.draft / f"{name}-{way}.png"
+        rest = self.head.tissue.parameters
+        draw_comparison(self.scene, rest, moved, found, title, picture, jaw)
+        self._pictures.append((title, picture))
+        self.rows[-1]["picture"] = str(self.target / picture.name)
 
     def _solve(
         self, name: str, scan: Any, way: str, progress: Progress
@@ -210,7 +229,7 @@ class _Table:
         result = identify(
             self.face,
             ScanTarget(self.skin, scan, self.neutral),
-            unknowns(self.head, known if way == "table2" else None, known),
+            unknowns(self.head, known if way == "table2" else None, known, self.further),
             start=self._found.get(name) if way == "all" else None,
             report=progress.update,
         )
@@ -222,7 +241,8 @@ class _Table:
         facts = identified(result)
         shift = result.pose.apply(scan.points) - scan.points
         facts["pose_shift_mm"] = round(float(np.sqrt((shift**2).sum(axis=1).mean())), 3)
-        return found, result.state.parameters, 0.0, {"values": facts.pop("activations"), **facts}
+        jaw = result.state.load.jaw
+        return found, result.state.parameters, jaw, {"values": facts.pop("activations"), **facts}
 
     def _row(self, name: str, way: str, found: Any, began: float) -> dict[str, Any]:
         seconds = round(time.perf_counter() - began, 1)
