@@ -197,6 +197,10 @@ class Continuation:
         began = time.perf_counter()
         self._factorisations = self._iterations = self._jumps = 0
         start, settings = self.state.load, self.settings
+        # Contacts begin with what has pressed them apart in a known state.
+        kept = bool(start.offsets) and not load.offsets
+        if kept:
+            load = replace(load, offsets=start.offsets)
         self._driven = [name for name, value in load.activations.items() if value > 0.0]
         self._blamed = []
         reached, step, steps, fault = 0.0, self._first_step(load), 0, ""
@@ -243,14 +247,18 @@ class Continuation:
                     reached,
                     f"load {reached:.0%}, J {statistics.J_min:.2f} to {statistics.J_max:.2f}",
                 )
-        self._press(steps, began)
+        self._press(steps, began, kept)
         return self.state
 
-    def _press(self, steps: int, began: float) -> None:
-        """Press contacts apart as long as they overlap (Uzawa's method)."""
+    def _press(self, steps: int, began: float, kept: bool) -> None:
+        """Press contacts apart as long as they overlap (Uzawa's method).
+
+        Where they are pressed as they were in an earlier state, once at least.
+        """
         settings = self.settings
         for done in range(settings.augmentations):
-            if self.state.statistics.max_penetration_mm <= settings.penetration:
+            overlap = self.state.statistics.max_penetration_mm
+            if overlap <= settings.penetration and not (kept and done == 0):
                 return
             pressed = self.problem.augment(self.state.parameters, self.state.load)
             try:
