@@ -160,7 +160,7 @@ def identify(
                 latest, last = found, frame
                 place = folder if single else folder / "frames" / frame.name
                 place.mkdir(parents=True, exist_ok=True)
-                write_frame(place, frame, measured.path.name, found, chosen, source, single)
+                _write_frame(place, frame, measured.path.name, found, chosen, source, single)
                 facts = {"frame": frame.name, "time": frame.time, "rms_mm": found.history[-1]}
                 rows.append(facts | identified(found))
         if latest is None:
@@ -277,7 +277,7 @@ class _Markers:
         return self._facts
 
 
-def write_frame(
+def _write_frame(
     folder: Path,
     frame: _Frame,
     source: str,
