@@ -61,7 +61,7 @@ class FaceSettings:
     sigma_max: float = 300.0
     kappa: float = 80.0
     modiolus: float = 30.0
-    skin: float = 5.0
+    skin: float = 3.0
     contact: float = 250.0
     slide: float = 0.05
     reach: float = 2.0
