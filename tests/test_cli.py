@@ -8,14 +8,18 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from modiolus import __version__
 from modiolus.cli import main
+from modiolus.cli.catalogue import ALONE
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
+from modiolus.face.head import Head
+from modiolus.mechanics import Settings, continuation
 from modiolus.progress import Interruption, Progress
 
 COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head show"]
@@ -187,6 +191,24 @@ def test_interruption_on_the_way_keeps_the_last_state(run, monkeypatch, tmp_path
     assert {path.name for path in (tmp_path / place).iterdir()} == {
         *("report.json", "state.npz", "face.png", "face.glb", "tissue.vtu"),
     }
+
+
+def test_catalogue_shows_how_far_a_muscle_came(run, monkeypatch, tmp_path):
+    whole = Head.load("taro")
+    few = {name: whole.muscles[name] for name in ("mentalis", "procerus")}
+    monkeypatch.setattr(Head, "load", lambda name: replace(whole, muscles=few))
+    monkeypatch.setattr(continuation, "Settings", lambda: Settings(max_steps=1))
+    code, out, error = run("catalogue", "--json")
+    assert code == 1
+    assert error.startswith("modiolus: mentalis: ") and "; procerus: " in error
+    found = json.loads(out)["runs"]
+    assert [(run["expression"], run["converged"]) for run in found] == [
+        ("mentalis", False),
+        ("procerus", False),
+    ]
+    reached = ALONE[few["mentalis"].kind] * Settings().first_step
+    assert found[0]["activations"]["mentalis"] == pytest.approx(reached)
+    assert (tmp_path / "out/catalogue/procerus/face.png").is_file()
 
 
 def test_lost_interruption_is_raised_again(tmp_path, monkeypatch):

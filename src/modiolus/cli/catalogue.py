@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
 from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.errors import SolveError
 
 #: Activation at which a muscle shows what it does, by its kind: a sheet or a ring has many times
 #: the cross-section of a strap.
@@ -24,7 +26,8 @@ def catalogue(
 ) -> None:
     """Contract every muscle alone and draw all of them on one page.
 
-    Writes OUT/catalogue/ with catalogue.png, report.json and a folder for every muscle.
+    Writes OUT/catalogue/ with catalogue.png, report.json and a folder for every muscle. One that
+    cannot be contracted so far is shown at the last state on the way, and told at the end.
     """
     from modiolus.face.head import Head
 
@@ -32,14 +35,22 @@ def catalogue(
     target = out / "catalogue"
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
+        from modiolus.mechanics import LoadNotReached
         from modiolus.view.face import draw_catalogue
 
         runner = Runner(chosen, quiet, head)
-        runs, states = [], []
+        runs, states, short = [], [], []
         for muscle in chosen.muscles.values():
             began = time.perf_counter()
             activation = ALONE[muscle.kind]
-            state = runner.solve(muscle.name, {muscle.name: activation})
+            try:
+                state = runner.solve(muscle.name, {muscle.name: activation})
+            except LoadNotReached as error:
+                state = replace(
+                    error.state, statistics=replace(error.state.statistics, converged=False)
+                )
+                activation *= error.reached
+                short.append(f"{muscle.name}: {error}")
             title = muscle.name.replace("_", " ")
             (folder / muscle.name).mkdir()
             record = runner.write(
@@ -63,3 +74,5 @@ def catalogue(
         write_report(folder, record)
     text = f"{len(runs)} muscles.\nPicture: {target / page.name}\nReport:  {target / 'report.json'}"
     show(record, text, as_json, quiet)
+    if short:
+        raise SolveError("; ".join(short))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from modiolus import __version__
 from modiolus.cli.outputs import write_report
 from modiolus.export import write_glb, write_vtu
 from modiolus.export.scene import FaceScene
@@ -128,6 +129,10 @@ class Runner:
             "unknowns": problem.n_unknowns,
             "steps": statistics.steps,
             "newton_iterations": statistics.newton_iterations,
+            "factorisations": statistics.factorisations,
+            "jumps": statistics.jumps,
+            "wrong_pivots": statistics.wrong_pivots,
+            "correction_mm": statistics.correction_mm,
             "solve_s": round(statistics.solve_s, 3),
             "wall_s": 0.0,
             "J_min": statistics.J_min,
@@ -138,6 +143,7 @@ class Runner:
             "jaw_open": round(math.degrees(state.load.jaw), 6),
             "landmarks": self.landmarks(state),
             "files": {},
+            "version": __version__,
         }
 
     def landmarks(self, state: State) -> dict[str, dict[str, list[float]]]:
