@@ -394,6 +394,26 @@ def test_a_sequence_becomes_a_table_expressions_and_an_animation(
 
 
 @pytest.mark.slow
+def test_the_gradient_on_the_face_agrees_with_finite_differences(taro, skin):
+    face = Face(taro)
+    items = unknowns(taro, ["zygomaticus_major", "orbicularis_oris"], (), ["jaw"])
+    driven = Driven(face, items)
+    target = markers_on(skin, face.solve({"zygomaticus_major": 0.5, "mentalis": 0.1}).parameters)
+    values = np.array([0.4, 0.03, 0.03, 0.05])
+    tight = Settings(tolerance=1e-10, passing=1e-3, augmentations=0, first_step=0.3)
+    path = Continuation(driven.problem(values), settings=tight)
+    path.run(driven.load(values))
+    point = _Point(values, STILL, path.state, target, items)
+    point.mean = 1.0
+    gradient = point.gradient(point.matches.slopes(skin, driven.slopes(path, values)))
+    step = 1e-5
+    for k in (0, 2, 3):
+        there = [values + sign * step * np.eye(4)[k] * items[k].scale for sign in (1.0, -1.0)]
+        ends = [objective(driven, target, items, path, at) for at in there]
+        assert (ends[0] - ends[1]) / (2.0 * step) == pytest.approx(gradient[k], rel=1e-6)
+
+
+@pytest.mark.slow
 def test_markers_of_a_smile_are_followed(capsys, taro, skin, tmp_path):
     face = Face(taro)
     states = [face.half.rest().parameters]
