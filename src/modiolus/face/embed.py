@@ -32,18 +32,23 @@ SLACK = 1.15
 #: Distance that muscles keep from the outer and the inner surface of the tissue (mm).
 CLEARANCE = (0.35, 0.1)
 
-#: Muscles that hold to bone or fascia: the stiffness of that hold (mN/mm), and the share of the
-#: length, from the origin, that is held. Frontalis comes from the galea, which occipitalis holds
-#: back; platysma from the fascia of the neck, which the cut holds; the rings have no bony end.
+#: What holds the tissue around a muscle's bony end: its stiffness (mN/mm), and the share of the
+#: length, from the origin, that is held; of a ring that share on either side of its beginning.
+#: Frontalis comes from the galea, which occipitalis holds back; platysma from the fascia of the
+#: neck, which the cut holds. Orbicularis oculi is a ring that comes from bone at its medial end:
+#: the nasal part of the frontal bone, the frontal process of the maxilla and the medial palpebral
+#: ligament (Gray's Anatomy, "Face and scalp"). Muscles that glide need no hold; what is around
+#: their origins is loose, and as stiff as a retaining ligament. Around that of depressor septi nasi
+#: nothing holds: it lies behind the upper lip, which the vestibule of the mouth parts from the gum,
+#: and in 62 % of people the muscle comes out of orbicularis oris there (Rohrich et al. 2000).
 ORIGINS: dict[str, tuple[float, float]] = {
-    "zygomaticus_major": (3e4, 0.12),
-    "zygomaticus_minor": (2e4, 0.12),
-    "levator_labii_superioris": (2e4, 0.12),
-    "levator_labii_superioris_alaeque_nasi": (2e4, 0.12),
-    "levator_anguli_oris": (2e4, 0.12),
-    "risorius": (2e4, 0.12),
-    # Its hind end lies behind masseter, out of the tissue.
-    "buccinator": (1e5, 0.3),
+    "zygomaticus_major": (300.0, 0.12),
+    "zygomaticus_minor": (300.0, 0.12),
+    "levator_labii_superioris": (300.0, 0.12),
+    "levator_labii_superioris_alaeque_nasi": (300.0, 0.12),
+    "levator_anguli_oris": (300.0, 0.12),
+    "risorius": (300.0, 0.12),
+    "buccinator": (300.0, 0.3),
     "depressor_anguli_oris": (2e4, 0.12),
     "depressor_labii_inferioris": (3e4, 0.12),
     "mentalis": (2e4, 0.12),
@@ -52,8 +57,21 @@ ORIGINS: dict[str, tuple[float, float]] = {
     "corrugator_supercilii": (2e4, 0.12),
     "procerus": (2e4, 0.12),
     "nasalis": (2e4, 0.12),
-    "depressor_septi_nasi": (2e4, 0.12),
+    "orbicularis_oculi_orbital": (2e4, 0.05),
+    "orbicularis_oculi_palpebral": (2e4, 0.05),
 }
+
+#: Muscles that glide in the tissue, and the share of their length, from the bone, over which they
+#: do (`Muscle.following`). The tissue is one layer, but in life orbicularis oculi, SMAS and skin
+#: slide over the origins of these: held there, the layer could not follow any other muscle.
+GLIDES = dict.fromkeys(
+    (
+        *("zygomaticus_major", "zygomaticus_minor", "levator_labii_superioris"),
+        *("levator_labii_superioris_alaeque_nasi", "levator_anguli_oris", "risorius"),
+        *("buccinator", "depressor_septi_nasi"),
+    ),
+    0.8,
+)
 
 #: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
 #: above it.
@@ -114,7 +132,7 @@ def bring_inside(muscle: Muscle, tissue: HermiteMesh, above: float = -np.inf) ->
         moved = _flow(muscle.mesh, tissue, above, back)
         if moved.scaled_jacobian(*_samples(moved)).min() > _LEAST_JACOBIAN:
             break
-    return replace(muscle, mesh=moved, slack=SLACK)
+    return replace(muscle, mesh=moved, slack=SLACK, glide=GLIDES.get(muscle.name, 0.0))
 
 
 def _samples(mesh: HermiteMesh) -> tuple[NDArray[np.int64], Array]:
@@ -258,7 +276,12 @@ def origins(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attac
     for name, (stiffness, share) in ORIGINS.items():
         if name not in muscles:
             continue
-        out[name] = _held(mesh, name, *muscles[name].end_points(share), stiffness)
+        muscle = muscles[name]
+        ends = [muscle.end_points(share)]
+        if muscle.kind == "ring":
+            ends.append(muscle.end_points(share, insertion=True))
+        points, volumes = (np.concatenate(part) for part in zip(*ends, strict=True))
+        out[name] = _held(mesh, name, points, volumes, stiffness)
     return out
 
 
@@ -323,10 +346,13 @@ TRAGUS = (66.0, -107.0, 1514.0)
 
 #: Deep fasciae over what the head has no surface for: rows and columns of the template, and the
 #: stiffness (kPa/mm) with which the inner surface is tied to them. Below the jaw it is the
-#: investing fascia of the neck's muscles, beside the forehead that of temporalis.
+#: investing fascia of the neck's muscles, beside the forehead that of temporalis. Along its edge,
+#: the temporal line, the layer is fixed to bone as well (Moss, Mendelson and Taylor 2000, Plast.
+#: Reconstr. Surg. 105:1475-1490), which keeps frontalis from lifting the tail of the brow far.
 FASCIAE: dict[str, tuple[tuple[int, int], tuple[int, int], float]] = {
     "deep_cervical_fascia": ((0, 3), (0, COLUMNS), 2.0),
     "temporal_fascia": ((13, 20), (8, COLUMNS), 1.0),
+    "superior_temporal_septum": ((15, 20), (7, 8), 1.0),
 }
 
 

@@ -54,6 +54,8 @@ class Muscle:
         along ξ1.
     slack : float
         Stretch at which the passive fibres become taut.
+    glide : float
+        Share of the length, from the origin, over which it glides in the tissue, see `following`.
 
     Raises
     ------
@@ -72,6 +74,7 @@ class Muscle:
     kind: str
     angles: np.ndarray | None = None
     slack: float = 1.0
+    glide: float = 0.0
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -83,6 +86,8 @@ class Muscle:
                 f"{self.name}: angles of shape {self.angles.shape}; give three for each of the "
                 f"{self.mesh.n_params // 8} nodes"
             )
+        if not 0.0 <= self.glide <= 1.0:
+            raise InputError(f"{self.name}: glide {self.glide}; give a share of the length, 0 to 1")
 
     @property
     def corners(self) -> np.ndarray:
@@ -203,14 +208,40 @@ class Muscle:
             Volumes for which they stand (mm³).
         """
         rule = self.quadrature((8, 2, 2))
-        lengths = self._row_lengths()
-        row, place = self.rows()
-        before = np.cumsum(lengths, axis=1) - lengths
-        along = before[row, place][rule.elements]
-        along = along + rule.xi[:, 0] * lengths[row, place][rule.elements]
-        along = along / lengths.sum(axis=1)[row[rule.elements]]
+        along, _ = self._along(rule)
         near = along > 1.0 - share if insertion else along < share
         return rule.points[near], rule.weights[near]
+
+    def following(self, rule: MusclePoints) -> np.ndarray:
+        """Tell how far points of the muscle follow the tissue around them, (q, 2).
+
+        A muscle that glides is at its bone where the fibres begin, whatever the tissue does, and
+        goes with the tissue from where the share `glide` of its length ends.
+
+        Parameters
+        ----------
+        rule : MusclePoints
+
+        Returns
+        -------
+        (q, 2) array
+            The share of the tissue's displacement that the muscle goes along, from 0 at the
+            origin in a straight line to 1, and its derivative along the fibres (1/mm).
+        """
+        if self.glide == 0.0:
+            return np.tile([1.0, 0.0], (len(rule.weights), 1))
+        along, length = self._along(rule)
+        share = np.minimum(along / self.glide, 1.0)
+        return np.stack([share, np.where(share < 1.0, 1.0 / (self.glide * length), 0.0)], axis=1)
+
+    def _along(self, rule: MusclePoints) -> tuple[np.ndarray, np.ndarray]:
+        """Return the share of the length before points, and the length (mm), both (q,)."""
+        lengths = self._row_lengths()
+        row, place = self.rows()
+        before = (np.cumsum(lengths, axis=1) - lengths)[row, place][rule.elements]
+        total = lengths.sum(axis=1)[row[rule.elements]]
+        along = before + rule.xi[:, 0] * lengths[row, place][rule.elements]
+        return along / total, total
 
     def span(self, moved: Map | None = None) -> float:
         """Distance from the middle of the origin to the middle of the insertion (mm).
@@ -331,6 +362,7 @@ class Muscle:
             "corners": self.corners,
             "kind": np.array(KINDS.index(self.kind)),
             "slack": np.array(self.slack),
+            "glide": np.array(self.glide),
         }
         if self.angles is not None:
             arrays["angles"] = self.angles
@@ -349,6 +381,7 @@ class Muscle:
             corners = np.asarray(arrays["corners"], dtype=np.int64)
             nodes = np.asarray(arrays["parameters"], dtype=np.float64).reshape(-1, 8, 3)
             kind, slack = KINDS[int(arrays["kind"])], float(arrays["slack"])
+            glide = float(arrays.get("glide", 0.0))
             sound = corners.ndim == 2 and corners.shape[1] == 8 and np.isfinite(nodes).all()
             if not sound or corners.min() < 0 or corners.max() >= len(nodes):
                 raise ValueError("parameters")
@@ -356,7 +389,7 @@ class Muscle:
             raise InputError(f"{name}: no sound muscle ({error}); build the head anew") from error
         angles = arrays.get("angles")
         angles = None if angles is None else np.asarray(angles, dtype=np.float64)
-        return cls(name, assemble(corners, nodes), kind, angles, slack)
+        return cls(name, assemble(corners, nodes), kind, angles, slack, glide)
 
 
 def _turned(a: np.ndarray, b: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ from .contact import RigidContact, SurfaceContact, face_points
 from .continuation import Continuation
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
 from .problem import GAUSS, Problem, State
-from .terms import FibreQuadrature, Fibres, Load, PointTerm, Springs
+from .terms import FibreQuadrature, Fibres, IntArray, Load, PointTerm, Springs
 
 
 @dataclass(frozen=True)
@@ -377,7 +377,8 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
     """
     source = measured or head
     half = source.half or source
-    rules = [muscle.quadrature() for muscle in half.muscles.values()]
+    muscles = half.muscles.values()
+    rules = [muscle.quadrature() for muscle in muscles]
     place = half.tissue.locate(np.concatenate([rule.points for rule in rules]))
     quadrature = FibreQuadrature(
         place.elements,
@@ -385,6 +386,9 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
         np.concatenate([rule.weights for rule in rules]),
         np.concatenate([rule.directions for rule in rules]),
         np.repeat(np.arange(len(rules)), [len(rule.weights) for rule in rules]),
+        np.concatenate(
+            [muscle.following(rule) for muscle, rule in zip(muscles, rules, strict=True)]
+        ),
     ).take(place.distance < 0.05)
     slacks = {name: muscle.slack for name, muscle in head.muscles.items()}
     law = FibreLaw(sigma_max=settings.sigma_max)
@@ -392,7 +396,22 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
         quadrature = both_sides(quadrature, source.half)
     if measured is not None:
         quadrature = quadrature.carried(measured.tissue, head.tissue)
-    return Fibres(head.tissue, quadrature, list(head.muscles), law, slacks)
+    return Fibres(head.tissue, quadrature, list(head.muscles), law, slacks, _bones(head))
+
+
+def _bones(head: Head) -> Callable[[Array, IntArray], Callable[[Load], Array]] | None:
+    """Return how the bones move from which muscles glide: with the jaw, by the origin's share."""
+    jaw = head.jaw
+    if jaw is None:
+        return None
+    ends = [m.end(0)[0].mean(axis=0) if m.glide else jaw.hinge for m in head.muscles.values()]
+    shares = jaw.share(np.stack(ends))
+
+    def carry(rest: Array, muscles: IntArray) -> Callable[[Load], Array]:
+        share = shares[muscles]
+        return lambda load: np.asarray(rest + jaw.displacement(rest, load.jaw, share))
+
+    return carry
 
 
 def both_sides(quadrature: FibreQuadrature, half: Head) -> FibreQuadrature:
@@ -405,6 +424,7 @@ def both_sides(quadrature: FibreQuadrature, half: Head) -> FibreQuadrature:
         quadrature.weights,
         quadrature.directions * [-1.0, 1.0, 1.0],
         2 * quadrature.muscles + 1,
+        quadrature.following,
     )
     return FibreQuadrature.concatenate([left, right])
 

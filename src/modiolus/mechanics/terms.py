@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -52,6 +52,18 @@ class Load:
     jaw: float = 0.0
     forces: Mapping[str, float] = field(default_factory=dict)
     offsets: Mapping[str, Array] = field(default_factory=dict)
+
+    def drives_like(self, other: Load) -> bool:
+        """Tell whether another load differs from this one by its offsets at most."""
+        return (
+            dict(self.activations) == dict(other.activations)
+            and self.jaw == other.jaw
+            and dict(self.forces) == dict(other.forces)
+            and np.array_equal(
+                0.0 if self.prescribed is None else self.prescribed,
+                0.0 if other.prescribed is None else other.prescribed,
+            )
+        )
 
     def towards(self, target: Load, fraction: float) -> Load:
         """Return the load a fraction of the way to ``target``."""
@@ -188,6 +200,9 @@ class FibreQuadrature:
         Unit fibre direction in the reference configuration.
     muscles : (n,) int array
         Index of the muscle.
+    following : (n, 2) array, optional
+        Share of the tissue's displacement that the muscle goes along, and the share's derivative
+        along the fibre (1/mm); by default all of it.
     """
 
     elements: IntArray
@@ -195,26 +210,22 @@ class FibreQuadrature:
     weights: Array
     directions: Array
     muscles: IntArray
+    following: Array = field(default_factory=lambda: np.array([1.0, 0.0]))
+
+    def __post_init__(self) -> None:
+        following = np.broadcast_to(self.following, (len(self.weights), 2))
+        object.__setattr__(self, "following", following)
 
     @classmethod
     def concatenate(cls, parts: Sequence[FibreQuadrature]) -> FibreQuadrature:
         """Join quadratures whose muscle indices already agree."""
         return cls(
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in ("elements", "xi", "weights", "directions", "muscles")
-            )
+            *(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(cls))
         )
 
     def take(self, points: NDArray[np.int64] | NDArray[np.bool_]) -> FibreQuadrature:
         """Return some of the points, in the given order."""
-        return FibreQuadrature(
-            self.elements[points],
-            self.xi[points],
-            self.weights[points],
-            self.directions[points],
-            self.muscles[points],
-        )
+        return FibreQuadrature(*(getattr(self, item.name)[points] for item in fields(self)))
 
     def carried(self, before: HermiteMesh, after: HermiteMesh) -> FibreQuadrature:
         """Return the points as they are when the tissue at rest has another shape.
@@ -224,10 +235,12 @@ class FibreQuadrature:
         old = before.jacobian(self.elements, self.xi)
         gradient = after.jacobian(self.elements, self.xi) @ np.linalg.inv(old)
         directions = (gradient @ self.directions[:, :, None])[:, :, 0]
+        stretch = np.linalg.norm(directions, axis=1, keepdims=True)
         return replace(
             self,
             weights=self.weights * np.linalg.det(gradient),
-            directions=directions / np.linalg.norm(directions, axis=1, keepdims=True),
+            directions=directions / stretch,
+            following=self.following / np.hstack([np.ones_like(stretch), stretch]),
         )
 
 
@@ -251,6 +264,10 @@ def fibre_functions(
 class Fibres(PointTerm):
     """Active and passive stress of the embedded muscles.
 
+    A point of a muscle moves by ``w u + (1 - w) b``, a share ``w`` of the displacement ``u`` of the
+    tissue around it and the rest of that of bone, ``b``. Its fibre vector is the derivative of
+    where it goes along ``f0``: ``F f0`` where ``w`` is 1.
+
     Parameters
     ----------
     mesh : HermiteMesh
@@ -261,6 +278,9 @@ class Fibres(PointTerm):
     law : FibreLaw
     slacks : mapping of str to float
         Stretch from which a muscle's passive fibres are taut; 1 for those not named.
+    carry : callable, optional
+        Takes points at rest (n, 3) of the bones of some muscles (n,) and returns what takes a
+        load to where they are.
 
     Raises
     ------
@@ -275,6 +295,7 @@ class Fibres(PointTerm):
         names: Sequence[str],
         law: FibreLaw | None = None,
         slacks: Mapping[str, float] | None = None,
+        carry: Callable[[Array, IntArray], Callable[[Load], Array]] | None = None,
     ) -> None:
         # The kernels trust these: an index beyond the names would be read from beyond its array.
         whole("fibre muscles", quadrature.muscles, len(tuple(names)))
@@ -282,17 +303,31 @@ class Fibres(PointTerm):
         if not (np.linalg.norm(directions, axis=1) > 0.0).all():
             raise InputError("fibre directions: one has no length; leave its point out")
         quadrature = quadrature.take(by_host(quadrature.elements))
-        functions = fibre_functions(mesh, quadrature.elements, quadrature.xi, quadrature.directions)
+        place = quadrature.elements, quadrature.xi
+        share, slope = (sp.diags_array(part) for part in quadrature.following.T)
+        along = fibre_functions(mesh, *place, quadrature.directions)
+        functions = sp.csr_matrix(share @ along + slope @ mesh.functions(*place))
         super().__init__("fibres", functions, quadrature.elements)
+        # What bone adds to the vectors, at the points that do not go along with all.
+        self._gliding = np.flatnonzero(quadrature.following[:, 0] < 1.0)
+        gliding = quadrature.take(self._gliding)
+        start = mesh.evaluate(gliding.elements, gliding.xi)
+        hold = (lambda at, _: lambda _load: at) if carry is None else carry
+        self._bones = [hold(at, gliding.muscles) for at in (start, start + gliding.directions)]
         self.quadrature = quadrature
         self.names = tuple(names)
         self.law = FibreLaw() if law is None else law
         self.slacks = np.array([(slacks or {}).get(name, 1.0) for name in self.names])
 
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
-        """Evaluate the fibre potential ``ψ(|F f0|)``."""
+        """Evaluate the fibre potential ``ψ(|v|)``."""
         n = len(vectors)
         out = Response(np.empty(n), np.empty((n, 3)), np.empty((n, 6)))
+        if len(self._gliding):
+            start, end = (bone(load) for bone in self._bones)
+            share, slope = self.quadrature.following[self._gliding].T[:, :, None]
+            vectors = vectors.copy()
+            vectors[self._gliding] += (1.0 - share) * (end - start) - slope * start
         kernels.fibres(
             vectors,
             self.quadrature.weights,
