@@ -10,7 +10,9 @@ noise, ghosts of the moving eyes and neck, and air inside the head. The steps ar
    so that nostrils and ear canals end in a lid a few millimetres deep;
 4. along the skin the level is half way between the tissue beneath and the air before it, both as
    local means: half of an edge's height is where the edge is, whatever blurs it;
-5. flying edges put the surface where the smoothed image crosses that level, between the voxels.
+5. flying edges put the surface where the smoothed image crosses that level, between the voxels;
+6. the dermis is darker than the fat beneath it, so that this level is crossed too deep: profiles of
+   two layers across the skin put it right where the image is sharp enough to show them.
 
 References
 ----------
@@ -29,14 +31,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
 
 from modiolus.anatomy.image import Image, simpleitk
 from modiolus.anatomy.surface import Surface
 from modiolus.errors import InputError
+from modiolus.hermite.basis import smooth_step
 
-__all__ = ["Segmentation", "isosurface", "segment_skin"]
+__all__ = ["Segmentation", "isosurface", "outer_skin", "segment_skin"]
 
 Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Progress = Callable[[float, str], None]
 
@@ -49,8 +55,9 @@ _COARSE, _FIRST, _ROUNDS = 2.0, 0.35, 3
 _BIAS_SPACING, _BIAS_ITERATIONS = 4.0, (30, 30, 20)
 #: Radius (mm) of the ball that finds what is outside, and how deep recesses narrower than it go.
 _BALL, _RECESS = 6.0, 4.0
-#: Radius (mm) of the opening that cuts ghosts and coils off the head.
-_BRIDGE = 1.5
+#: Radius (mm) of the opening that cuts ghosts and coils off the head, and the distance from what is
+#: left up to which thin skin, as that over bone, still belongs to it.
+_BRIDGE, _SHEET = 1.5, 10.0
 #: Depths (mm) between which tissue, at last only its outermost part (mm or voxels, whichever is
 #: more), and air are measured, and the width of the local means.
 _TISSUE, _DERMIS, _AIR, _LOCAL = (1.0, 4.0), (1.2, 2.3), (3.0, 7.0), 6.0
@@ -58,6 +65,19 @@ _TISSUE, _DERMIS, _AIR, _LOCAL = (1.0, 4.0), (1.2, 2.3), (3.0, 7.0), 6.0
 _SMOOTH, _SMOOTH_VOXELS = 0.5, 0.5
 #: Distance (mm) from the skin beyond which the image no longer decides.
 _BAND = 3.0
+#: Thickness (mm) of the dermis of a face, and the least share of the fat's signal that it has.
+_LAYER, _DARKEST = 1.5, 0.35
+#: Depths (mm) at which profiles are taken, trial places of the skin in them, and trial widths of
+#: its edge: standard deviations (mm) of what blurs it.
+_DEPTHS, _PLACES = np.arange(-3.0, 3.51, 0.25), np.arange(-1.25, 1.26, 0.125)
+_WIDTHS = (0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)
+#: Widths of the edge up to which the dermis shows, and from which on it does not.
+_SHOWN, _HIDDEN = 0.9, 1.5
+#: Every how manieth profile tells the width, how many neighbours are fitted together, and how far
+#: (mm) the skin goes from its usual correction.
+_SPARSE, _NEIGHBOURS, _AWAY = 17, 30, 0.25
+#: Share of the profiles that fit best; the others get the usual correction.
+_SOUND = 0.85
 #: Volume (litres) and extent (mm) of what a field of view may show of a head.
 _VOLUMES, _EXTENTS = (0.3, 9.0), (90.0, 420.0)
 #: Contrast of tissue to noise below which there is nothing to segment.
@@ -130,7 +150,7 @@ def segment_skin(image: Image, tell: Progress | None = None) -> Segmentation:
     low, high = np.median(coarse.values[~bright]), np.median(coarse.values[bright])
     head = _head(coarse, coarse.values > low + _FIRST * (high - low))
     for _ in range(_ROUNDS):
-        head = _head(coarse, _relative(coarse, coarse.values, head) > 0.0, near=head)
+        head = _head(coarse, _relative(coarse, coarse.values, head) > _FIRST - 0.5, near=head)
     tell(0.6, "local level")
     head = _enlarged(head.astype(np.float32), factors, values.shape) > 0.5
     smooth = _smoothed(image, values)
@@ -146,6 +166,7 @@ def segment_skin(image: Image, tell: Progress | None = None) -> Segmentation:
         )
     tell(0.8, "surface")
     surface = isosurface(image, _field(image, relative, head), 0.0).largest_component()
+    surface = outer_skin(image.with_values(values), surface, air)
     out = Segmentation(
         Surface(surface.vertices, surface.faces, "skin"),
         image.with_values(values),
@@ -303,7 +324,7 @@ def _head(image: Image, bright: Bools, near: Bools | None = None) -> Bools:
         bright = bright & (_depth(image, ~near) <= _RECESS)
     # Opening cuts bridges; what it took off the head itself lies next to what is left.
     core = _largest(_depth(image, bright) > _BRIDGE)
-    body = _largest(bright & (_depth(image, ~core) <= _BRIDGE + 1.5 * float(image.spacing.max())))
+    body = _largest(bright & (_depth(image, ~core) <= _SHEET))
     if not body.any():
         raise InputError(f"{image.name}: nothing in it stands out; give an image of a head")
     # Closing by a ball: where the ball passes is outside.
@@ -364,6 +385,69 @@ def _field(image: Image, relative: Floats, head: Bools) -> Floats:
     field[below > _BAND] = np.maximum(field[below > _BAND], 0.5)
     field[above > _BAND] = np.minimum(field[above > _BAND], -0.5)
     return np.asarray(field, dtype=np.float32)
+
+
+def outer_skin(image: Image, surface: Surface, air: float) -> Surface:
+    """Move the skin to where profiles of two layers, a darker one upon a brighter, begin.
+
+    Parameters
+    ----------
+    image : Image
+        Without its shading.
+    surface : Surface
+        Where the level is half way.
+    air : float
+        Intensity of the noise.
+
+    Returns
+    -------
+    Surface
+
+    Notes
+    -----
+    A profile across the skin is ``A + (D - A) Φ((t - t0) / s) + (F - D) Φ((t - t0 - w) / s)`` with
+    the depth ``t``, the signals of air, dermis and fat, the dermis' thickness ``w``, and the
+    integral ``Φ`` of the normal distribution: linear but for the place ``t0`` and the width ``s``
+    of the edge, which are tried out. The width is that of the whole image. Where it is as much as
+    the dermis is thick the two layers cannot be told apart, and nothing is moved.
+    """
+    inward = -surface.vertex_normals
+    places = surface.vertices[:, None] + _DEPTHS[:, None] * inward[:, None]
+    indices = image.indices(places.reshape(-1, 3)).T
+    profiles = ndimage.map_coordinates(image.values, indices, order=1, mode="nearest")
+    profiles = profiles.reshape(len(inward), len(_DEPTHS)).astype(np.float64)
+    few = profiles[::_SPARSE]
+    width = min(_WIDTHS, key=lambda s: float(np.median(_misfits(few, s, air).min(axis=0))))
+    share = float(smooth_step((_HIDDEN - width) / (_HIDDEN - _SHOWN)))
+    if share == 0.0:
+        return surface
+    near = cKDTree(surface.vertices).query(surface.vertices, k=_NEIGHBOURS)[1]
+    misfits = np.stack([row[near].mean(axis=1) for row in _misfits(profiles, width, air)])
+    best = np.clip(misfits.argmin(axis=0), 1, len(_PLACES) - 2)
+    a, b, c = (misfits[best + k, np.arange(len(best))] for k in (-1, 0, 1))
+    finer = np.clip(0.5 * (a - c) / np.maximum(a - 2.0 * b + c, 1e-9), -1.0, 1.0)
+    place = _PLACES[best] + (_PLACES[1] - _PLACES[0]) * finer
+    # Beside bone, cartilage and folds the profile is another one.
+    usual = float(np.median(place))
+    relative = b / np.maximum(np.ptp(profiles, axis=1)[near].mean(axis=1), 1e-9) ** 2
+    sound = (relative < np.quantile(relative, _SOUND)) & (np.abs(place - usual) < 2.0 * _AWAY)
+    place = np.clip(np.where(sound, place, usual), usual - _AWAY, usual + _AWAY)
+    move = share * place[near].mean(axis=1)
+    return Surface(surface.vertices + move[:, None] * inward, surface.faces, surface.name)
+
+
+def _misfits(profiles: Doubles, width: float, air: float) -> Doubles:
+    """Return the squared misfit of profiles (n, m) for each trial place, (n_places, n)."""
+    out = []
+    for place in _PLACES:
+        outer, inner = (ndtr((_DEPTHS - place - depth) / width) for depth in (0.0, _LAYER))
+        layers = np.stack([1.0 - outer, outer - inner, inner], axis=1)
+        signals = profiles @ np.linalg.pinv(layers).T
+        misfit = ((profiles - signals @ layers.T) ** 2).sum(axis=1)
+        # A dermis darker than any is air that is mistaken for it.
+        dermis, fat = signals[:, 1] - air, signals[:, 2] - air
+        out.append(misfit + 8.0 * np.maximum(_DARKEST * fat - dermis, 0.0) ** 2)
+    return np.stack(out)
 
 
 def _air(image: Image, values: Floats, head: Bools) -> tuple[float, float]:

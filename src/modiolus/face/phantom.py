@@ -2,8 +2,9 @@
 
 The head is a face: its skin, the tissue behind it with the muscles, and the deep structures. What
 lies behind is filled as far as the field of view reaches, so that the skin is closed in front and
-the image open at the back, as one that a scanner's field of view cuts. Every voxel holds the mean
-of what is in it (partial volume): along y exactly, across it from a finer grid of columns.
+the image open at the back, as one that a scanner's field of view cuts; before the skin, also where
+it faces backwards, is air. Every voxel holds the mean of what is in it (partial volume): along y
+exactly, across it from a finer grid of columns.
 """
 
 from __future__ import annotations
@@ -45,6 +46,8 @@ _DEEP = {
 _DERMIS = 1.5
 #: Air before, beside and above the face, and what is shown behind it (mm).
 _AIR, _BEHIND = 16.0, 30.0
+#: Distance (mm) of the skin's free edges within which it tells nothing of what is before it.
+_EDGE = 1.0
 #: Columns across a voxel each way.
 _COLUMNS = 4
 
@@ -111,11 +114,11 @@ def simulated_t1(
 
     intensity = np.full(shape, _WITHIN)
     tissue = _hull(head.tissue, "tissue")
-    share = _share(tissue, half, (slice(None),) * 3)
-    inside = share > 0.0
+    within = _share(tissue, half, (slice(None),) * 3)
+    inside = within > 0.0
     depth = half_skin.closest(points[inside.ravel()]).distance
     layer = _FAT + (_SKIN - _FAT) * np.clip((_DERMIS - depth) / spacing + 0.5, 0.0, 1.0)
-    intensity[inside] += share[inside] * (layer - intensity[inside])
+    intensity[inside] += within[inside] * (layer - intensity[inside])
     labels = np.zeros(shape, dtype=np.int16)
     fullest = np.full(shape, 0.5)
     muscles = {name: _hull(muscle.mesh, name) for name, muscle in head.muscles.items()}
@@ -134,7 +137,11 @@ def simulated_t1(
         distance = head.distance(name).sample(points).distance.reshape(shape)
         share = np.clip(0.5 - distance / spacing, 0.0, 1.0)
         intensity += share * (_DEEP.get(name, _WITHIN) - intensity)
-    intensity *= _filled(head, tissue, half)
+    filled = _filled(head, tissue, half)
+    edge = (filled > 0.0) & (within < 1.0)
+    behind = _behind(half_skin, head.midplane, points[edge.ravel()], spacing)
+    filled[edge] = np.minimum(filled[edge], behind)
+    intensity *= filled
 
     other = np.where(labels > 0, labels + len(muscles), 0)
     clean = np.concatenate([intensity[::-1], intensity])
@@ -165,10 +172,7 @@ def skin_error(phantom: Phantom, surface: Surface, margin: float = 6.0) -> Array
         was closed without an example.
     """
     vertices = phantom.skin.vertices
-    # In the mid-plane the two halves meet: it is no free edge.
-    rim = rim_points(phantom.skin)
-    plane = 0.5 * (phantom.skin.bounds[0, 0] + phantom.skin.bounds[1, 0])
-    rim = rim[np.abs(rim[:, 0] - plane) > 1e-3]
+    rim = _free_edges(phantom.skin, 0.5 * float(phantom.skin.bounds[:, 0].sum()))
     counts = (cKDTree(rim).query(vertices)[0] > margin) & phantom.image.shows(vertices)
     return surface.closest(vertices[counts]).distance
 
@@ -214,6 +218,26 @@ def _filled(head: Head, tissue: Surface, image: Image) -> Array:
             hits = np.where(np.isfinite(hits), hits, np.inf).reshape(nx, 1, nz)
             out += np.clip((y[None, :, None] - hits) / spacing, 0.0, 1.0)
     return out / _COLUMNS**2
+
+
+def _behind(skin: Surface, plane: float, points: Array, spacing: float) -> Array:
+    """Return how much of voxels around points (n, 3) is not before the skin.
+
+    Under the chin and the jaw the skin faces backwards: there what a ray from the front has passed
+    is air again. Beyond the free edges of the skin nothing is known of it.
+    """
+    rim = cKDTree(_free_edges(skin, plane))
+    near = skin.closest(points)
+    before = np.einsum("ni,ni->n", points - near.points, skin.normals[near.faces]) > 0.0
+    before &= rim.query(near.points)[0] > _EDGE
+    distance = np.where(before, near.distance, -np.inf)
+    return np.asarray(np.clip(0.5 - distance / spacing, 0.0, 1.0))
+
+
+def _free_edges(skin: Surface, plane: float) -> Array:
+    """Return points of the free edges of a skin; in the mid-plane it goes on."""
+    rim = rim_points(skin)
+    return np.asarray(rim[np.abs(rim[:, 0] - plane) > 1e-3])
 
 
 def _shade(shape: tuple[int, ...], bias: float) -> Array:
