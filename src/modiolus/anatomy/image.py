@@ -38,6 +38,8 @@ _SHORTEST = 8
 _SPACINGS = (0.05, 10.0)
 #: Files of a DICOM series beyond which it is none of a head.
 _MOST_FILES = 4096
+#: Numbers of a NIfTI file that may not be finite, by its code and their bits.
+_NIFTI_FLOATS = {(16, 32): "f4", (64, 64): "f8"}
 #: Bytes that are unpacked at once when a file is checked.
 _CHUNK = 2**20
 
@@ -155,11 +157,11 @@ def read_image(path: str | Path) -> Image:
     path = Path(path)
     sitk = simpleitk()
     if path.is_dir():
-        reader = _series(sitk, path)
+        reader, unknown = _series(sitk, path), 0
     elif not path.exists():
         raise InputError(f"{path}: no such file; check the path")
     else:
-        reader = _file(sitk, path)
+        reader, unknown = _file(sitk, path)
     try:
         read = reader.Execute()
         if read.GetDimension() != 3:
@@ -169,8 +171,8 @@ def read_image(path: str | Path) -> Image:
     except RuntimeError as error:
         raise _damaged(path, error) from error
     values = sitk.GetArrayFromImage(turned).transpose(2, 1, 0)
-    unknown = 0 if values.dtype.kind != "f" else int((~np.isfinite(values)).sum())
-    if unknown:
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        unknown += int((~np.isfinite(values)).sum())
         values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
     spacing = np.array(turned.GetSpacing())
     direction = np.array(turned.GetDirection()).reshape(3, 3)
@@ -227,16 +229,15 @@ def _check_header(path: Path, size: tuple[int, ...], spacing: tuple[float, ...])
         raise InputError(f"{path}: voxels of {steps} mm; give an image with its spacing in mm")
 
 
-def _file(sitk: Any, path: Path) -> Any:
-    """Return a reader for one file, its header checked."""
+def _file(sitk: Any, path: Path) -> tuple[Any, int]:
+    """Return a reader for one file, its header checked, and how many numbers it will lose."""
     if not path.name.lower().endswith(_FILES):
         raise InputError(
             f"{path}: not an image; give one of {', '.join(_FILES)}, or a DICOM series' folder"
         )
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; fetch it again")
-    if ".nii" in path.name.lower():
-        _check_nifti(path)
+    unknown = _check_nifti(path) if ".nii" in path.name.lower() else 0
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
     try:
@@ -247,14 +248,20 @@ def _file(sitk: Any, path: Path) -> Any:
         count = reader.GetNumberOfComponents()
         raise InputError(f"{path}: {count} numbers for every voxel; give a grey image")
     _check_header(path, reader.GetSize(), reader.GetSpacing())
-    return reader
+    return reader, unknown
 
 
-def _check_nifti(path: Path) -> None:
+def _check_nifti(path: Path) -> int:
     """Check dimensions and length of a NIfTI file; a truncated one would be read in part.
 
     Of a compressed file no more than its header promises is unpacked, and little at once.
+
+    Returns
+    -------
+    int
+        How many of its numbers are not finite: the reader turns them to 0 without a word.
     """
+    unknown = 0
     short = InputError(f"{path}: shorter than its header says; it is truncated, fetch it again")
     packed = path.name.lower().endswith(".gz")
     try:
@@ -279,16 +286,24 @@ def _check_nifti(path: Path) -> None:
             _check_header(path, tuple(size[:3]), (1.0, 1.0, 1.0))
             if not (0 < bits <= 128 and 0.0 <= start < 2**24):
                 raise InputError(f"{path}: its header is damaged; fetch the image again")
-            left = int(start) + int(np.prod(size[:3])) * bits // 8 - len(header)
+            kind = _NIFTI_FLOATS.get((struct.unpack(order + "h", header[70:72])[0], bits))
+            ahead = int(start) - len(header)
+            if ahead > 0 and len(file.read(ahead)) < ahead:
+                raise short
+            left = int(np.prod(size[:3])) * bits // 8 + min(ahead, 0)
             while left > 0:
-                got = len(file.read(min(left, _CHUNK)))
-                if not got:
+                block = file.read(min(left, _CHUNK))
+                if len(block) < min(left, _CHUNK):
                     raise short
-                left -= got
+                left -= len(block)
+                if kind is not None:
+                    numbers = np.frombuffer(block, order + kind, len(block) // (bits // 8))
+                    unknown += int((~np.isfinite(numbers)).sum())
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise short from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the file") from error
+    return unknown
 
 
 def _series(sitk: Any, folder: Path) -> Any:
