@@ -55,6 +55,7 @@ def upright(
         raise InputError(f"--tolerance {tolerance:g}: not within 0.0001 to 1 mm; give one that is")
     from modiolus.export.scene import FaceScene
     from modiolus.face.head import Head
+    from modiolus.face.provenance import INFERRED
     from modiolus.mechanics.gravity import upright as turned
     from modiolus.view.face import draw_face
 
@@ -67,6 +68,9 @@ def upright(
         change = f"turned upright from lying face up, density {density:g} kg/m³"
         about["changes"] = f"{about.get('changes', '')}; {change}".lstrip("; ")
         about["upright_of"] = source.name
+        if "provenance" in about:
+            shape = f"{INFERRED}: by mechanics from {source.name}, taken as lying"
+            about["provenance"] = {**about["provenance"], "standing": shape}
         standing = replace(found.head, name=name, about=about)
         standing.save(folder)
         draw_face(

@@ -27,7 +27,7 @@ from ..fitting import PointTarget, Registration, Smoothing, fit, icp, register
 from ..fitting.register import Matcher, sphere
 from ..hermite import HermiteMesh, grid, symmetry_plane
 from ..hermite.basis import Array
-from .embed import boundary_surface
+from .embed import boundary_surface, bring_inside
 from .head import Head, RigidSurface
 from .margins import Margins, find_margins
 from .muscle import Muscle
@@ -50,6 +50,8 @@ _CRUSHED, _BENT = 0.3, (0.5, 0.3)
 _STIFFER, _TRIES = 10.0, 15
 #: Weight of the derivatives in the fit of a muscle to where its points go.
 _MUSCLE_SMOOTHING = 1e-4
+#: Share of a muscle that may leave the tissue; one of which more does is brought back.
+_LOST = 0.01
 #: Weight of a point of a margin relative to one of the skin.
 _MARGIN_WEIGHT = 8.0
 #: Weight of a point of the cuts at neck and scalp, which keep their height.
@@ -649,12 +651,38 @@ def carried_head(
     whole = _Whole(aligned, host, before, after)
     tell(0.6, "muscles")
     muscles = {key: _muscle(item, whole.smooth, whole) for key, item in head.muscles.items()}
+    muscles = _kept_inside(head, replace(head, tissue=after, muscles=muscles))
     tell(0.75, "deep structures")
     deep = {key: _rigid(item, whole.bone, aligned.size) for key, item in head.deep.items()}
     if "eyeball" in deep:
         deep["eyeball"] = _eyeball(head, after)
     morphed = replace(head, name=name, tissue=after, muscles=muscles, deep=deep, about={})
     return morphed, edges
+
+
+def _kept_inside(head: Head, morphed: Head) -> dict[str, Muscle]:
+    """Return the muscles of a morphed head; those that have left the tissue are brought back."""
+    before, now = _inside(head, morphed)
+    cut = neck_height(morphed)
+    out = dict(morphed.muscles)
+    for name, muscle in morphed.muscles.items():
+        if before[name] - now[name] > _LOST:
+            back = replace(bring_inside(muscle, morphed.tissue, cut), slack=muscle.slack)
+            if least_volume(back) > 0.0:
+                out[name] = back
+    return out
+
+
+def neck_height(head: Head) -> float:
+    """Return the height (mm) of the cut through the neck."""
+    neck = head.tissue.face(*head.sides["neck"])
+    return float(neck.evaluate(*neck.gauss_points(4)[:2])[:, 2].max())
+
+
+def least_volume(muscle: Muscle) -> float:
+    """Return the least Jacobian determinant of a muscle at 3 x 3 x 3 points an element."""
+    mesh = muscle.mesh
+    return float(np.linalg.det(mesh.jacobian(*mesh.gauss_points(3)[:2])).min())
 
 
 def _both_margins(head: Head, skin: _Skin, scans: list[Matcher]) -> Margins:
@@ -731,10 +759,7 @@ def morph_quality(
     before, after = _inside(head, morphed)
     quality["inside"] = {key: round(value, 4) for key, value in after.items()}
     quality["inside_lost"] = round(max(before[key] - after[key] for key in before), 4)
-    least = min(
-        float(np.linalg.det(muscle.mesh.jacobian(*muscle.mesh.gauss_points(3)[:2])).min())
-        for muscle in morphed.muscles.values()
-    )
+    least = min(least_volume(muscle) for muscle in morphed.muscles.values())
     quality["muscles_min_jacobian"] = round(least, 4)
     return quality
 
@@ -744,8 +769,7 @@ def _inside(head: Head, morphed: Head) -> tuple[dict[str, float], dict[str, floa
 
     What lies below the cut through the neck does not count.
     """
-    neck = head.tissue.face(*head.sides["neck"])
-    cut = neck.evaluate(*neck.gauss_points(4)[:2])[:, 2].max()
+    cut = neck_height(head)
     shares: tuple[dict[str, float], dict[str, float]] = ({}, {})
     for name, muscle in head.muscles.items():
         elements, xi, _ = muscle.mesh.gauss_points(3)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from ..anatomy.distance import DistanceGrid
@@ -30,6 +30,7 @@ from .morph import (
     align,
     carried_head,
     morph_quality,
+    neck_height,
     unfolded,
 )
 from .moved import moved_head
@@ -45,6 +46,8 @@ _SAMPLING, _TURN = 0.7, 4.0
 #: Weights of the second derivatives of a muscle's change, and the distance (mm) of the farthest
 #: match, from coarse to fine; each step begins where the last one ended.
 _STEPS = ((100.0, 12.0), (10.0, 8.0), (1.0, 5.0), (0.3, 4.0), (0.1, 3.0), (0.03, 3.0))
+#: Weight of the first derivatives relative to that: without it a muscle might shrink to nothing.
+_FIRST = 0.1
 #: Smallest scaled Jacobian with which a step of that is taken.
 _LEAST_JACOBIAN = 0.05
 #: Weight of a match along the surface relative to across it.
@@ -59,6 +62,10 @@ _SLIVER = 0.05
 _ROOM = 10.0
 
 
+#: Surfaces of one structure: left, right, and those of which the name tells no side.
+Sides = tuple[list[Surface], list[Surface], list[Surface]]
+
+
 @dataclass(frozen=True)
 class Structures:
     """The surfaces of a subject by what they are.
@@ -66,18 +73,15 @@ class Structures:
     Attributes
     ----------
     skin : Surface
-    muscles : dict of (list, list) of Surface
-        By muscle those of the left side, those of the right side and those of which the name
-        tells no side.
-    deep : dict of (list, list, list) of Surface
-        The same for the deep structures.
+    muscles, deep : dict of Sides
+        By name those of the left side, those of the right side and those of no side.
     unused : list of str
         Names that the head does not know.
     """
 
     skin: Surface
-    muscles: dict[str, tuple[list[Surface], list[Surface], list[Surface]]]
-    deep: dict[str, tuple[list[Surface], list[Surface], list[Surface]]]
+    muscles: dict[str, Sides]
+    deep: dict[str, Sides]
     unused: list[str]
 
 
@@ -100,8 +104,8 @@ def sort_structures(surfaces: Mapping[str, Surface], head: Head) -> Structures:
     if "skin" not in surfaces:
         names = ", ".join(surfaces) or "nothing"
         raise InputError(f"skin: not among the structures ({names}); it is the one required")
-    muscles: dict[str, tuple[list[Surface], list[Surface], list[Surface]]] = {}
-    deep: dict[str, tuple[list[Surface], list[Surface], list[Surface]]] = {}
+    muscles: dict[str, Sides] = {}
+    deep: dict[str, Sides] = {}
     unused = []
     for name, surface in surfaces.items():
         plain, side = name, 2
@@ -163,7 +167,9 @@ def build_subject(
     figures: dict[str, Any] = {}
     if structures.deep:
         tell(0.75, "laying the tissue on the bones")
-        bones = {key: _bone(*sides, aligned) for key, sides in structures.deep.items()}
+        bones = {
+            key: _bone(sides, aligned, head.midplane) for key, sides in structures.deep.items()
+        }
         tissue, figures["bone_rms_mm"] = lay_on(head, made.tissue, bones, aligned.size)
         made = moved_head(made, tissue.parameters)
         made = replace(made, deep=made.deep | _grids(head, bones, aligned))
@@ -181,8 +187,7 @@ def _with_muscles(
     made: Head, structures: Structures, aligned: Aligned
 ) -> tuple[Head, dict[str, float]]:
     """Fit the muscles that are given, and renew what depends on where they are."""
-    neck = made.tissue.face(*made.sides["neck"])
-    cut = float(neck.evaluate(*neck.gauss_points(4)[:2])[:, 2].max())
+    cut = neck_height(made)
     plane = made.midplane
     fitted, rms = {}, {}
     for key, sides in structures.muscles.items():
@@ -192,13 +197,29 @@ def _with_muscles(
         rms[key] = round(_distance(muscle, surfaces), 3)
         fitted[key] = bring_inside(muscle, made.tissue, cut)
     muscles = made.muscles | fitted
+    # Only where a given muscle is now, or was before, its share of the tissue changes.
+    changed = [made.muscles[key] for key in fitted] + list(fitted.values())
+    near = _meeting(made.tissue, [muscle.bounds() for muscle in changed])
+    fraction = made.fraction.copy()
+    fraction[near] = muscle_fraction(made.tissue.subset(near), muscles.values())
     return replace(
         made,
         muscles=muscles,
-        fraction=muscle_fraction(made.tissue, muscles.values()),
+        fraction=fraction,
         attachments=made.attachments | origins(made.tissue, fitted),
         insertions=made.insertions | insertions(made.tissue, fitted),
     ), rms
+
+
+def _meeting(tissue: HermiteMesh, boxes: Sequence[Array]) -> NDArray[np.int64]:
+    """Return the elements whose own box meets one of some boxes (2, 3)."""
+    ticks = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 4)] * 3), axis=-1).reshape(-1, 3)
+    every = np.arange(tissue.n_elements)
+    points = tissue.evaluate(np.repeat(every, len(ticks)), np.tile(ticks, (len(every), 1)))
+    points = points.reshape(len(every), -1, 3)
+    low, high = points.min(axis=1) - 1.0, points.max(axis=1) + 1.0
+    meets = [((low <= box[1]) & (high >= box[0])).all(axis=1) for box in boxes]
+    return np.flatnonzero(np.any(meets, axis=0))
 
 
 def one_side(
@@ -215,15 +236,14 @@ def one_side(
     return out
 
 
-def _bone(
-    left: list[Surface], right: list[Surface], both: list[Surface], aligned: Aligned
-) -> Surface:
+def _bone(sides: Sides, aligned: Aligned, plane: float) -> Surface:
     """Return a deep structure in the head's frame: all that is given of it."""
+    left, right, both = sides
     parts = [aligned.pose.moved(surface) for surface in [*left, *right, *both]]
     if right and not left and not both:
-        # Of a structure that is known on the right side only the left one is the mirror image.
-        parts += [part.mirrored() for part in parts]
-    return Surface.joined(parts)
+        # The head is a left half; what is known of the right side only is mirrored.
+        parts = [part.mirrored(plane) for part in parts]
+    return Surface.joined(parts, parts[0].name)
 
 
 def _grids(head: Head, bones: Mapping[str, Surface], aligned: Aligned) -> dict[str, RigidSurface]:
@@ -308,7 +328,7 @@ def fit_muscle(muscle: Muscle, surfaces: Sequence[Surface], plane: float) -> Mus
                     _SLIDING,
                 )
             )
-        smoothing = Smoothing(first=0.0, second=weight, relative=True)
+        smoothing = Smoothing(first=_FIRST * weight, second=weight, relative=True)
         finer = unfolded(mesh, targets, smoothing, held)[0]
         if not least_jacobian(finer) > _LEAST_JACOBIAN:
             break
