@@ -387,7 +387,7 @@ def test_a_head_cannot_be_made_without_its_anatomy(tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     (tmp_path / "anatomy").mkdir()
     (tmp_path / "anatomy" / "manifest.csv").write_text("fma_id,n_vertices,n_faces\n")
-    for folder, words in (("nowhere", "no such folder"), ("anatomy", "zygomaticus_major")):
+    for folder, words in (("nowhere", "no such file or folder"), ("anatomy", "zygomaticus_major")):
         with pytest.raises(SystemExit) as left:
             main(["build", folder, "--out", "made", "--json"])
         printed = capsys.readouterr()
