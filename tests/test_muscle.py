@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -64,6 +66,18 @@ def test_lengths_and_ends_of_a_beam():
     assert_allclose(volumes.sum() / 360.0, 0.12, atol=0.04)
 
 
+def test_a_gliding_muscle_leaves_its_bone_in_a_straight_line():
+    rule = beam().quadrature()
+    assert_array_equal(beam().following(rule), np.tile([1.0, 0.0], (96, 1)))
+    along = rule.points[:, 0] / 30.0
+    share, slope = replace(beam(), glide=0.8).following(rule).T
+    assert_allclose(share, np.minimum(along / 0.8, 1.0), rtol=1e-12)
+    assert_allclose(slope, np.where(along < 0.8, 1.0 / 24.0, 0.0), rtol=1e-12)
+    for wrong in (-0.1, 1.1, np.nan):
+        with pytest.raises(InputError, match="share of the length"):
+            replace(beam(), glide=wrong)
+
+
 def test_a_ring_is_closed():
     muscle = ring()
     assert_allclose(muscle.length(), 2 * np.pi * 22.0, rtol=1e-3)
@@ -99,9 +113,9 @@ def test_mirrored_keeps_its_volume_and_turns_its_fibres():
 
 
 def test_muscle_survives_its_arrays():
-    muscle = Muscle("beam", beam().mesh, "sheet", np.full((24, 3), 0.1), slack=1.2)
+    muscle = Muscle("beam", beam().mesh, "sheet", np.full((24, 3), 0.1), slack=1.2, glide=0.7)
     again = Muscle.from_arrays("beam", muscle.arrays())
-    assert (again.kind, again.slack) == ("sheet", 1.2)
+    assert (again.kind, again.slack, again.glide) == ("sheet", 1.2, 0.7)
     assert_array_equal(again.mesh.parameters, muscle.mesh.parameters)
     assert_array_equal(again.corners, muscle.corners)
     assert_array_equal(again.angles, muscle.angles)
