@@ -39,7 +39,7 @@ ALPHA, BETA = 5e-3, 1e-3
 _FIRST_STEP, _LARGEST_STEP = 0.35, 0.6
 #: The iterations end when no unknown changes by more than this (of its scale), or the error
 #: falls by less than this share.
-_SMALL_STEP, _SMALL_GAIN = 0.01, 5e-4
+_SMALL_STEP, _SMALL_GAIN = 0.01, 1e-4
 #: Cost (mm²) of moving the face by a millimetre off the pose that it was given, and the same where
 #: that pose is known. Were it free, it would take over motion of the skin.
 _POSE_COST, _KNOWN_POSE_COST = 0.1, 1.0
