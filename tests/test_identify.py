@@ -128,7 +128,9 @@ def test_activation_jaw_and_tissue_come_back_from_markers(block_head):
     assert found.history[-1] < 2e-2 * found.history[0]
     assert found.values["strap"] == pytest.approx(0.4, abs=0.03)
     assert found.values["jaw"] == pytest.approx(np.radians(5.0), rel=0.03)
-    assert found.values["fat"] == pytest.approx(1.6, rel=0.1)
+    # Stiffer fat under a muscle that pulls more looks nearly alike, and the result says so.
+    assert abs(found.values["fat"] - 1.6) < 5.0 * found.deviations["fat"]
+    assert 20.0 * found.deviations["strap"] < found.deviations["fat"] < 0.5
     assert found.activations == {"strap": found.values["strap"]}
     # From there, the same frame again costs next to nothing.
     again = identify(face, target, items, start=found)

@@ -37,9 +37,9 @@ Report = Callable[[float, str], None]
 ALPHA, BETA = 5e-3, 1e-3
 #: First and largest change of the unknowns in an iteration, in units of their scales.
 _FIRST_STEP, _LARGEST_STEP = 0.35, 0.6
-#: The iterations end when no unknown changes by more than this (of its scale), or the error
-#: falls by less than this share.
-_SMALL_STEP, _SMALL_GAIN = 0.01, 1e-4
+#: The iterations end when no unknown changes by more than the first (of its scale) and the pose by
+#: no more than the second (mm), or the error falls by less than the third, a share.
+_SMALL_STEP, _SMALL_SHIFT, _SMALL_GAIN = 0.01, 0.02, 1e-4
 #: Cost (mm²) of moving the face by a millimetre off the pose that it was given, and the same where
 #: that pose is known. Were it free, it would take over motion of the skin.
 _POSE_COST, _KNOWN_POSE_COST = 0.1, 1.0
@@ -143,7 +143,8 @@ def identify(
         gain = 0.0
         while radius > 1e-3:
             step, turn = _step(matrix, reached, radius)
-            if np.abs(step / scales).max() < _SMALL_STEP:
+            shift = np.abs(turn / _pose_scales(reached.matches)).max()
+            if np.abs(step / scales).max() < _SMALL_STEP and shift < _SMALL_SHIFT:
                 break
             values = np.clip(reached.values + step, reached.low, reached.high)
             problem = driven.problem(values)
