@@ -150,7 +150,8 @@ def test_a_muscle_flows_into_the_tissue():
 
 
 def test_taro_is_small_and_says_whose_it_is():
-    assert sum(path.stat().st_size for path in SHIPPED.iterdir()) <= 5e6
+    # All heads that ship, together.
+    assert sum(path.stat().st_size for path in SHIPPED.parent.glob("*/*")) <= 5e6
     licence = (SHIPPED / "LICENSE").read_text(encoding="utf-8")
     for words in (
         "CC BY-SA 2.1 JP",

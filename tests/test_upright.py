@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from modiolus.cli import main
+from modiolus.cli.upright import greatest
 from modiolus.face.head import Head
 from modiolus.face.moved import moved_head
 from modiolus.hermite import HermiteMesh, grid
@@ -122,7 +123,7 @@ def test_the_command_writes_a_head(
     monkeypatch.setattr("modiolus.view.face.draw_face", lambda *args, **more: None)
     out = tmp_path / "standing"
     with pytest.raises(SystemExit) as left:
-        main(["upright", "block", "--out", str(out), "--json", "--quiet"])
+        main(["upright", "block", "--tolerance", "0.02", "--out", str(out), "--json", "--quiet"])
     assert left.value.code == 0
     record = json.loads(capsys.readouterr().out)
     assert record["rounds_mm"][-1] <= 0.02
@@ -146,3 +147,21 @@ def test_the_command_refuses_what_cannot_be(
     assert left.value.code == 2
     assert option[0] in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+def test_the_shipped_upright_head_is_taro_standing() -> None:
+    lying, standing = Head.load("taro"), Head.load("taro-upright")
+    assert standing.about["upright_of"] == "taro"
+    assert standing.about["licence"] == lying.about["licence"]
+    assert standing.about["provenance"]["standing"].startswith("inferred")
+    assert set(standing.muscles) == set(lying.muscles)
+    assert set(standing.attachments) == set(lying.attachments)
+    np.testing.assert_array_equal(standing.fraction, lying.fraction)
+    assert 0.5 < greatest(lying, standing) < 5.0
+    move = {
+        name: standing.landmark_points()[name] - point
+        for name, point in lying.landmark_points().items()
+    }
+    # It sinks where it is loose, and hardly over the forehead.
+    assert move["lower_lip_mid"][2] < -0.3
+    assert np.linalg.norm(move["inner_brow_left"]) < 0.5

@@ -70,6 +70,8 @@ def _fit(quality: Mapping[str, Any]) -> str:
     for key, what in (("skin_rms_mm", "the anatomy's skin"), ("scan_rms_mm", "the scan")):
         if key in quality:
             return f"{quality[key]:.2f} mm from {what}, root mean square"
+    if "lying_within_mm" in quality:
+        return f"lying within {quality['lying_within_mm']:.2f} mm of the head that it was made of"
     return "fit not stated"
 
 

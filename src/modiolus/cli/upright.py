@@ -39,7 +39,7 @@ def upright(
         typer.Option(
             metavar="MM", help="How near the equilibrium lying has to come to the given shape."
         ),
-    ] = 0.02,
+    ] = 0.05,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -68,6 +68,11 @@ def upright(
         change = f"turned upright from lying face up, density {density:g} kg/m³"
         about["changes"] = f"{about.get('changes', '')}; {change}".lstrip("; ")
         about["upright_of"] = source.name
+        # How the source was fitted tells nothing of the new shape.
+        about["quality"] = {
+            "lying_within_mm": round(found.gaps[-1], 4),
+            "greatest_move_mm": round(greatest(source, found.head), 4),
+        }
         if "provenance" in about:
             shape = f"{INFERRED}: by mechanics from {source.name}, taken as lying"
             about["provenance"] = {**about["provenance"], "standing": shape}
@@ -90,7 +95,7 @@ def upright(
             "J_min": found.state.statistics.J_min,
             "J_max": found.state.statistics.J_max,
             "max_penetration_mm": found.state.statistics.max_penetration_mm,
-            "greatest_move_mm": round(greatest(source, standing), 4),
+            "greatest_move_mm": about["quality"]["greatest_move_mm"],
             "landmarks": landmarks,
             "wall_s": round(time.perf_counter() - began, 3),
             "files": {

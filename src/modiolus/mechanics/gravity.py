@@ -200,7 +200,7 @@ class Upright:
 def upright(
     head: Head,
     density: float = DENSITY,
-    tolerance: float = 0.02,
+    tolerance: float = 0.05,
     settings: FaceSettings | None = None,
     report: Report | None = None,
 ) -> Upright:
