@@ -12,6 +12,7 @@ shows ``s_k``, usual value ``u_k``, cost ``c_k`` and bounds are those of
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -122,12 +123,16 @@ def identify(
     """
     driven = Driven(face, unknowns)
     scales = np.array([item.scale for item in unknowns])
-    settings = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2)
+    # How far contacts are pressed apart depends on the way; by their penalty alone it does not.
+    settings = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2, augmentations=0)
     begun = {} if start is None else start.values
     values = np.array([begun.get(item.name, item.usual) for item in unknowns])
     path = Continuation(
         driven.problem(values), None if start is None else start.state, settings=settings
     )
+    if start is not None and start.state.load.offsets:
+        path.state = replace(start.state, load=replace(start.state.load, offsets={}))
+        path.run(driven.load(values))
     pose = Registration(1.0, np.eye(3), np.zeros(3))
     solves = 0
     history: list[float] = []
@@ -173,11 +178,14 @@ def identify(
         report(1.0, f"{reached.rms:.3f} mm")
     matrix = reached.matches.slopes(target.skin, driven.slopes(path, reached.values))
     deviations, correlated = _certainty(matrix, reached)
+    pressed = Continuation(path.problem, reached.state)
+    with contextlib.suppress(SolveError):
+        pressed.run(reached.state.load)
     return Identification(
         values={
             item.name: float(value) for item, value in zip(unknowns, reached.values, strict=True)
         },
-        state=replace(reached.state, statistics=path.state.statistics),
+        state=pressed.state,
         pose=reached.pose,
         history=tuple(history),
         deviations=deviations,
