@@ -125,16 +125,14 @@ def test_activation_jaw_and_tissue_come_back_from_markers(block_head):
     state = Continuation(driven.problem(true)).run(driven.load(true))
     target = markers_on(skin, state.parameters)
     found = identify(face, target, items)
-    assert found.history[-1] < 2e-2 * found.history[0]
-    assert found.values["strap"] == pytest.approx(0.4, abs=0.03)
-    assert found.values["jaw"] == pytest.approx(np.radians(5.0), rel=0.03)
-    # Stiffer fat under a muscle that pulls more looks nearly alike, and the result says so.
-    assert abs(found.values["fat"] - 1.6) < 5.0 * found.deviations["fat"]
-    assert 20.0 * found.deviations["strap"] < found.deviations["fat"] < 0.5
+    assert found.history[-1] < 1e-3 * found.history[0]
+    assert found.values["strap"] == pytest.approx(0.4, abs=1e-3)
+    assert found.values["jaw"] == pytest.approx(np.radians(5.0), rel=1e-3)
+    assert found.values["fat"] == pytest.approx(1.6, rel=1e-2)
     assert found.activations == {"strap": found.values["strap"]}
     # From there, the same frame again costs next to nothing.
     again = identify(face, target, items, start=found)
-    assert again.history[0] < 0.1 and again.values["strap"] == pytest.approx(0.4, abs=0.03)
+    assert again.solves <= 2 and again.values["strap"] == pytest.approx(0.4, abs=1e-3)
 
 
 def test_sides_are_told_apart(block_head):

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,8 @@ _FIRST_STEP, _LARGEST_STEP = 0.35, 0.6
 #: The iterations end when no unknown changes by more than the first (of its scale) and the pose by
 #: no more than the second (mm), or the error falls by less than the third, a share.
 _SMALL_STEP, _SMALL_SHIFT, _SMALL_GAIN = 0.01, 0.02, 1e-4
+#: Solves from a state nearby; contacts stay as far pressed apart as they are there.
+_WARM = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2, augmentations=0)
 #: Cost (mm²) of moving the face by a millimetre off the pose that it was given, and the same where
 #: that pose is known. Were it free, it would take over motion of the skin.
 _POSE_COST, _KNOWN_POSE_COST = 0.1, 1.0
@@ -112,7 +114,7 @@ def identify(
         Where to begin, such as the frame before or the result for fewer muscles of the same half
         or whole head; at rest by default.
     iterations : int
-        At most.
+        At most, before contacts are pressed apart and after.
     report : callable, optional
         Called with the fraction done and a message after every iteration.
 
@@ -122,79 +124,113 @@ def identify(
         The target does not meet the skin.
     """
     driven = Driven(face, unknowns)
-    scales = np.array([item.scale for item in unknowns])
-    # How far contacts are pressed apart depends on the way; by their penalty alone it does not.
-    settings = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2, augmentations=0)
     begun = {} if start is None else start.values
     values = np.array([begun.get(item.name, item.usual) for item in unknowns])
-    path = Continuation(
-        driven.problem(values), None if start is None else start.state, settings=settings
-    )
-    if start is not None and start.state.load.offsets:
-        path.state = replace(start.state, load=replace(start.state.load, offsets={}))
-        path.run(driven.load(values))
-    pose = Registration(1.0, np.eye(3), np.zeros(3))
-    solves = 0
-    history: list[float] = []
-    radius = _FIRST_STEP
-    target.renew(path.state.parameters, pose)
-    reached = _Point(values, pose, path.state, target, unknowns)
-    for iteration in range(iterations):
-        history.append(reached.rms)
-        if report is not None:
-            report(iteration / iterations, f"iteration {iteration + 1}: {reached.rms:.3f} mm")
-        matrix = reached.matches.slopes(target.skin, driven.slopes(path, reached.values))
-        kept = path.problem, path.state
-        gain = 0.0
-        while radius > 1e-3:
-            step, turn = _step(matrix, reached, radius)
-            shift = np.abs(turn / _pose_scales(reached.matches)).max()
-            if np.abs(step / scales).max() < _SMALL_STEP and shift < _SMALL_SHIFT:
-                break
-            values = np.clip(reached.values + step, reached.low, reached.high)
-            problem = driven.problem(values)
-            if problem is not path.problem:
-                path = Continuation(problem, path.state, settings=settings)
-            try:
-                path.run(driven.load(values))
-                solves += 1
-                trial = _Point(
-                    values, _turned(reached.pose, turn, target), path.state, target, unknowns
-                )
-            except SolveError:
-                path, radius = Continuation(*kept, settings=settings), 0.4 * radius
-                continue
-            gain = reached.energy(reached.mean) - trial.energy(reached.mean)
-            if gain > 0.0:
-                target.renew(trial.state.parameters, trial.pose)
-                reached = _Point(values, trial.pose, trial.state, target, unknowns)
-                radius = min(_LARGEST_STEP, 1.6 * radius)
-                break
-            path, radius = Continuation(*kept, settings=settings), 0.4 * radius
-        if gain < _SMALL_GAIN * reached.mean:
-            break
-    history.append(reached.rms)
+    search = _Search(driven, target, values, None if start is None else start.state)
+    search.descend(iterations, report)
+    search.press()
+    search.descend(iterations, report)
+    search.history.append(search.reached.rms)
     if report is not None:
-        report(1.0, f"{reached.rms:.3f} mm")
-    matrix = reached.matches.slopes(target.skin, driven.slopes(path, reached.values))
-    deviations, correlated = _certainty(matrix, reached)
-    pressed = Continuation(path.problem, reached.state)
-    with contextlib.suppress(SolveError):
-        pressed.run(reached.state.load)
+        report(1.0, f"{search.reached.rms:.3f} mm")
+    reached = search.reached
+    deviations, correlated = _certainty(search.slopes(), reached)
     return Identification(
         values={
             item.name: float(value) for item, value in zip(unknowns, reached.values, strict=True)
         },
-        state=pressed.state,
+        state=reached.state,
         pose=reached.pose,
-        history=tuple(history),
+        history=tuple(search.history),
         deviations=deviations,
         correlated=correlated,
         unsure=tuple(
             item.name for item in unknowns if deviations[item.name] > _UNSURE * item.scale
         ),
-        solves=solves,
+        solves=search.solves,
     )
+
+
+class _Search:
+    """A bounded Gauss-Newton search within a trust region.
+
+    How far contacts are pressed apart depends on the way there. So they stay as they are pressed
+    while the search goes on, and its states depend on the unknowns alone.
+
+    Attributes
+    ----------
+    reached : _Point
+    history : list of float
+        Root mean square of the distances (mm) before every iteration.
+    solves : int
+    """
+
+    def __init__(self, driven: Driven, target: Target, values: Array, state: State | None) -> None:
+        self.driven, self.target = driven, target
+        self.history: list[float] = []
+        self.solves = 0
+        self._radius = _FIRST_STEP
+        self._path = Continuation(driven.problem(values), state, settings=_WARM)
+        self.reached = self._at(values, Registration(1.0, np.eye(3), np.zeros(3)))
+
+    def _at(self, values: Array, pose: Registration) -> _Point:
+        """Return the point of the present state, with what stands still renewed."""
+        self.target.renew(self._path.state.parameters, pose)
+        return self._point(values, pose)
+
+    def _point(self, values: Array, pose: Registration) -> _Point:
+        return _Point(values, pose, self._path.state, self.target, self.driven.unknowns)
+
+    def slopes(self) -> Array:
+        """Return the derivatives of the residuals by unknowns and pose, (n, k + 6)."""
+        change = self.driven.slopes(self._path, self.reached.values)
+        return self.reached.matches.slopes(self.target.skin, change)
+
+    def descend(self, iterations: int, report: Report | None = None) -> None:
+        """Take steps until the unknowns and the pose stand still."""
+        for iteration in range(iterations):
+            before = self.reached
+            self.history.append(before.rms)
+            if report is not None:
+                text = f"iteration {len(self.history)}: {before.rms:.3f} mm"
+                report(iteration / iterations, text)
+            gain = self._advance(self.slopes())
+            if gain < _SMALL_GAIN * before.mean:
+                return
+
+    def _advance(self, matrix: Array) -> float:
+        """Take the longest step that makes things better, and return by how much; 0 for none."""
+        reached, kept = self.reached, (self._path.problem, self._path.state)
+        while self._radius > 1e-3:
+            step, turn = _step(matrix, reached, self._radius)
+            shift = np.abs(turn / _pose_scales(reached.matches)).max()
+            if np.abs(step / reached.scales).max() < _SMALL_STEP and shift < _SMALL_SHIFT:
+                return 0.0
+            values = np.clip(reached.values + step, reached.low, reached.high)
+            pose = _turned(reached.pose, turn, self.target)
+            problem = self.driven.problem(values)
+            if problem is not self._path.problem:
+                self._path = Continuation(problem, self._path.state, settings=_WARM)
+            gain = -np.inf
+            with contextlib.suppress(SolveError):
+                self._path.run(self.driven.load(values))
+                self.solves += 1
+                gain = reached.energy(reached.mean) - self._point(values, pose).energy(reached.mean)
+            if gain > 0.0:
+                self.reached = self._at(values, pose)
+                self._radius = min(_LARGEST_STEP, 1.6 * self._radius)
+                return float(gain)
+            self._path = Continuation(*kept, settings=_WARM)
+            self._radius *= 0.4
+        return 0.0
+
+    def press(self) -> None:
+        """Press contacts apart in the present state, and keep them so in what follows."""
+        pressed = Continuation(self._path.problem, self._path.state)
+        with contextlib.suppress(SolveError):
+            pressed.run(self._path.state.load)
+            self._path = Continuation(pressed.problem, pressed.state, settings=_WARM)
+            self.reached = self._at(self.reached.values, self.reached.pose)
 
 
 class _Point:
