@@ -2,12 +2,12 @@
 
 Minimised over the unknowns ``p`` is, in mm²::
 
-    E(p) = mean r² + m (ALPHA Σ c_k p_k / s_k + BETA Σ ((p_k - u_k) / s_k)²),   l_k <= p_k <= h_k
+    E(p) = mean r² + m (ALPHA Σ c_k p_k / s_k + BETA Σ ((p_k - u_k) / s_k)² + γ d²)
 
-with the distances ``r`` of `modiolus.scans.target` and their mean square ``m`` at the last
-iterate, so that the prior counts less where the measurement is explained well. Change that
-shows ``s_k``, usual value ``u_k``, cost ``c_k`` and bounds are those of
-`modiolus.scans.unknown.Unknown`.
+with ``l_k <= p_k <= h_k``, the distances ``r`` of `modiolus.scans.target`, the distance ``d`` by
+which the face is moved off its pose, and the mean square ``m`` of ``r`` at the last iterate, so
+that the prior counts less where the measurement is explained well. Change that shows ``s_k``,
+usual value ``u_k``, cost ``c_k`` and bounds are those of `modiolus.scans.unknown.Unknown`.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ _FIRST_STEP, _LARGEST_STEP = 0.35, 0.6
 _SMALL_STEP, _SMALL_SHIFT, _SMALL_GAIN = 0.01, 0.02, 1e-4
 #: Solves from a state nearby; contacts stay as far pressed apart as they are there.
 _WARM = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2, augmentations=0)
-#: Cost (mm²) of moving the face by a millimetre off the pose that it was given, and the same where
-#: that pose is known. Were it free, it would take over motion of the skin.
-_POSE_COST, _KNOWN_POSE_COST = 0.1, 1.0
+#: Weight of the squared distance (mm) by which the face is moved off the pose that it was given,
+#: and the same where that pose is known. Were it free, it would take over motion of the skin.
+_POSE_COST, _KNOWN_POSE_COST = 0.2, 2.0
 #: Two unknowns whose estimates correlate more than this can hardly be told apart.
 _CORRELATED = 0.8
 #: An unknown that is known no better than this (of its scale) is not identifiable.
@@ -260,7 +260,8 @@ class _Point:
     def energy(self, mean: float) -> float:
         """Return what is minimised, with the regularisation weighed by a mean square."""
         regular = ALPHA * (self.cost * self.shares).sum() + BETA * (self.shares**2).sum()
-        return float(self.mean + mean * regular + self.pose_cost * (self.moved**2).sum())
+        regular += self.pose_cost * (self.moved**2).sum()
+        return float(self.mean + mean * regular)
 
     def gradient(self, matrix: Array) -> Array:
         """Return the derivatives of `energy` by the unknowns and the pose in their units, (k + 6,).
@@ -274,7 +275,7 @@ class _Point:
         units = np.concatenate([self.scales, _pose_scales(self.matches)])
         slope = 2.0 * units * (matrix.T @ (self.matches.weight * self.matches.residual))
         slope[:k] += self.mean * (ALPHA * self.cost + 2.0 * BETA * self.shares)
-        slope[k:] += 2.0 * self.pose_cost * self.moved
+        slope[k:] += 2.0 * self.mean * self.pose_cost * self.moved
         return np.asarray(slope)
 
 
@@ -292,7 +293,7 @@ def _step(matrix: Array, point: _Point, radius: float) -> tuple[Array, Array]:
     scaled = matrix * units
     hessian = scaled.T @ (matches.weight[:, None] * scaled)
     hessian[np.arange(k), np.arange(k)] += BETA * point.mean
-    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.pose_cost
+    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.mean * point.pose_cost
     hessian[np.arange(k + 6), np.arange(k + 6)] += 1e-9
     root = np.linalg.cholesky(hessian)
     low = np.concatenate([np.maximum((point.low - point.values) / scales, -radius), [-2.0] * 6])
@@ -325,7 +326,7 @@ def _certainty(
     units = np.concatenate([point.scales, _pose_scales(matches)])
     scaled = matrix * units
     hessian = scaled.T @ (matches.weight[:, None] * scaled)
-    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.pose_cost
+    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.mean * point.pose_cost
     hessian += 1e-12 * np.trace(hessian) * np.eye(k + 6)
     places = np.round(matches.feet.points / _CORRELATION_LENGTH).astype(np.int64)
     patches = len(np.unique(places, axis=0)) * matches.weight.sum()
