@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from modiolus import hermite
-from modiolus.mechanics import Continuation, Load, Problem, Settings, SurfaceContact
+from modiolus.mechanics import Continuation, Load, Problem, Settings, SurfaceContact, facing
 
 
 def block(counts, low, high):
@@ -182,3 +182,30 @@ def test_augmentation_takes_the_overlap_away():
     assert 1.0 < forces[1] / forces[0] < 1.2
     # They fade on the way to another load.
     assert held.load.towards(Load(), 1.0).offsets == {}
+
+
+def test_patches_know_their_edges_to_neighbours():
+    mesh, _, lower = stacked(lower=(3, 2, 1))
+    inner = facing.Patches.of(mesh, lower).inner
+    # 3 x 2 patches have 4 edges across the first and 3 across the second direction, each twice.
+    assert inner[:, :2].sum() == 2 * 4 and inner[:, 2:].sum() == 2 * 3
+
+
+def test_points_far_inside_a_body_are_let_go():
+    mesh, upper, lower = stacked()
+    slave, master = facing.Patches.of(mesh, upper), facing.Patches.of(mesh, lower)
+    patches, xi, _ = slave.points(*hermite.gauss(2, 3))
+    meeting = facing.Facing(slave, master, patches, xi)
+    sunk = upper_part(mesh, upper)
+
+    def share(depth):
+        moved = mesh.parameters.copy()
+        moved[sunk[::8], 2] -= depth
+        meeting.settle(moved)
+        return meeting.share
+
+    np.testing.assert_allclose(share(0.5 * facing.SETTLED), 1.0)
+    np.testing.assert_allclose(share(1.5 * facing.SETTLED), 0.5)
+    np.testing.assert_allclose(share(2.5 * facing.SETTLED), 0.0)
+    # Far before the body they are free to come.
+    np.testing.assert_allclose(share(-30.0), 1.0)

@@ -46,6 +46,8 @@ class Settings:
         Converged and rejected steps together.
     max_iterations : int
         Factorisations in one step before it is rejected.
+    patience : int
+        Those after which corrections that have to be shortened are damped instead.
     max_jumps : int
         How often the tissue may leave a path that ends or turns back for an equilibrium elsewhere.
     max_relaxations : int
@@ -67,7 +69,8 @@ class Settings:
     least_step: float = 2e-3
     warm_change: float = 0.1
     max_steps: int = 80
-    max_iterations: int = 18
+    max_iterations: int = 30
+    patience: int = 8
     max_jumps: int = 5
     max_relaxations: int = 60
     least_ratio: float = 0.05
@@ -201,6 +204,8 @@ class Continuation:
         kept = bool(start.offsets) and not load.offsets
         if kept:
             load = replace(load, offsets=start.offsets)
+        # A state of another mesh may begin at the very load, and smaller steps are no way to it.
+        moves = not start.drives_like(load)
         self._driven = [name for name, value in load.activations.items() if value > 0.0]
         self._blamed = []
         reached, step, steps, fault = 0.0, self._first_step(load), 0, ""
@@ -222,7 +227,7 @@ class Continuation:
                 step = 0.3 * (target - reached)
                 self._at_hand = False
                 fault = str(error)
-                if step >= settings.least_step and steps < settings.max_steps:
+                if moves and step >= settings.least_step and steps < settings.max_steps:
                     continue
                 target = min(1.0, reached + settings.first_step)
                 try:
@@ -440,7 +445,7 @@ class Continuation:
         wary = False
         if settled:
             return self._converged(here, load, size)
-        for _ in range(settings.max_iterations):
+        for done in range(settings.max_iterations):
             convex = wary or size > settings.near
             evaluation = self._factorise(
                 here.parameters, here.pressure, load, convex=convex, damping=damping
@@ -475,7 +480,11 @@ class Continuation:
                     return self._converged(here, load, size)
             else:
                 size = after
-            damping = 0.0 if damping < 0.5 else 0.1 * damping
+            if full or done < settings.patience:
+                damping = 0.0 if damping < 0.03 else 0.2 * damping
+            else:
+                # Contacts stand in the way of one correction after the other: slide round them.
+                damping = max(3.0 * damping, 0.03)
         raise self._fault(f"{settings.max_iterations} iterations were not enough", evaluation)
 
     def _relax(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:

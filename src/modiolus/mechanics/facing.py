@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,16 +38,19 @@ SAMPLES = 4
 BEYOND = 1.0
 #: Overlaps greater than this (mm) are those of the far side of a body, not contact.
 DEEPEST = 3.0
-#: The same beyond the master's border, where its tangent plane soon cuts through anything.
-SHALLOW = 0.5
 #: Points farther than this (mm) from the master are not followed.
 FREE = 0.5
-#: Overlap (mm) up to which a point that begins a load step inside a body belongs to a side of it.
+#: Overlap (mm) up to which a point that begins a load step inside a body belongs to a side of it;
+#: one of twice that is on its way through the far side, and let go.
 SETTLED = 1.0
+#: The same beyond the master's border, where its tangent plane soon cuts through anything.
+SHALLOW = 0.25
 #: Distance (mm) from the edge to a flank over which points are let go that slide out there.
 EDGE = 0.15
+#: How many times a width beyond an edge to a neighbour counts, which is there to be met instead.
+ASIDE = 4.0
 #: Widths of a patch beyond the border of a surface at which points are let go.
-FADE = 0.5
+FADE = 0.2
 
 
 @njit(cache=True)
@@ -145,6 +149,7 @@ def project(
     extraction: Any,
     sign: Any,
     part: Any,
+    inner: Any,
     points: Any,
     candidates: Any,
     beyond: Any,
@@ -166,19 +171,23 @@ def project(
         1 where the cross product of a patch's tangents points out of the body, else -1.
     part : (f,) int array
         0 for patches of the master itself, then the number of their flank.
+    inner : (f, 4) bool array
+        See `Patches.inner`.
     points : (n, 3) array
     candidates : (n, c) int array
         Patches that may meet a point, padded with -1.
     beyond : float
         How far outside [0, 1] a local coordinate may lie.
     host : (n, parts) int array, written
-        Patch, or -1 where none faces the point. The flanks are asked only where the master
-        itself is not farther than `FREE`.
+        Patch, or -1 where none faces the point, or it is deeper than `DEEPEST`. The flanks are
+        asked only where the master itself is not farther than `FREE`.
     xi : (n, parts, 2) array, written
     gap : (n, parts) array, written
-        Signed distance along the outward normal in mm.
+        Signed distance along the outward normal in mm; infinite where none is near.
     outside : (n, parts) array, written
-        How far the projection lies outside its patch, in local coordinates.
+        How far the projection lies outside its patch, in local coordinates, added up; beyond edges
+        to a neighbour it counts `ASIDE` times. Infinite for points beside the surface, 0 for those
+        that are far away.
     """
     n_patches, m = patches.shape
     local = np.zeros((n_patches, 16, 3))
@@ -209,7 +218,7 @@ def project(
     nearest = np.empty(n_patches)
     host[:] = -1
     gap[:] = np.inf
-    outside[:] = np.inf
+    outside[:] = 0.0
     for p in range(len(points)):
         for side in range(host.shape[1]):
             close = False
@@ -227,7 +236,7 @@ def project(
                         seed[f, 0] = (q % SAMPLES + 0.5) / SAMPLES
                         seed[f, 1] = (q // SAMPLES + 0.5) / SAMPLES
                 close = close or nearest[f] < (size[f] + DEEPEST) ** 2
-            # The patches in the order of their nearest sample, until one holds the projection.
+            # The patches in the order of their nearest sample, until none can be closer.
             patch = -1
             least = over = np.inf
             for _ in range(candidates.shape[1] if close else 0):
@@ -240,11 +249,17 @@ def project(
                         chosen = f
                 if chosen < 0:
                     break
+                if over <= 1e-9 and nearest[chosen] > (abs(least) + size[chosen]) ** 2:
+                    break
                 nearest[chosen] = np.inf
                 trial[:] = seed[chosen]
                 if not closest_of(local[chosen], points[p], trial, functions, values):
                     continue
-                out = max(max(-trial[0], trial[0] - 1.0), max(-trial[1], trial[1] - 1.0), 0.0)
+                # Beyond the surface's border the patch that ends there goes on, not its neighbours.
+                out = 0.0
+                for edge in range(4):
+                    over_edge = trial[edge // 2] - 1.0 if edge % 2 else -trial[edge // 2]
+                    out += max(over_edge, 0.0) * (ASIDE if inner[chosen, edge] else 1.0)
                 if out > beyond:
                     continue
                 n0 = values[1, 1] * values[2, 2] - values[1, 2] * values[2, 1]
@@ -263,11 +278,11 @@ def project(
                 if out < over - 1e-9 or (out <= 1e-9 and abs(g) < abs(least)):
                     patch, least, over = chosen, g, out
                     found[:] = trial
-                    if out <= 1e-9:
-                        break
-            if patch >= 0 and least > -(DEEPEST if over <= 1e-9 else SHALLOW):
-                host[p, side], gap[p, side], outside[p, side] = patch, least, over
-                xi[p, side] = found
+            if patch >= 0:
+                gap[p, side], outside[p, side], xi[p, side] = least, over, found
+                host[p, side] = patch if least > -DEEPEST else -1
+            elif close:
+                outside[p, side] = np.inf
             if gap[p, 0] > FREE:
                 break
 
@@ -365,6 +380,17 @@ class Patches:
         """Return mm² by unit of local coordinates at points of the patches at rest, (n,)."""
         tangents = self.surface.jacobian(patches, xi)
         return np.asarray(np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=1))
+
+    @cached_property
+    def inner(self) -> NDArray[np.bool_]:
+        """Which edges a patch shares with another of its side, (f, 4): ξ1 = 0, 1, ξ2 = 0, 1."""
+        corners, _ = self.surface.corner_nodes()
+        edges = np.sort(corners[:, [[0, 2], [1, 3], [0, 1], [2, 3]]], axis=2)
+        keys = np.dstack([np.broadcast_to(self.part[:, None], edges.shape[:2]), edges])
+        _, which, counts = np.unique(
+            keys.reshape(-1, 3), axis=0, return_inverse=True, return_counts=True
+        )
+        return np.asarray(counts[which].reshape(-1, 4) > 1)
 
     def neighbours(self) -> NDArray[np.bool_]:
         """Tell which patches share a corner, (f, f)."""
@@ -506,8 +532,10 @@ class Facing:
         for row, may in enumerate(self.allowed):
             table[row, : may.sum()] = np.flatnonzero(may)
         self._candidates = np.ascontiguousarray(table[self.patches])
+        self.least = np.zeros(len(self.patches))
         self.settle(rest)
         self.least = np.minimum(self.project(rest).gap, 0.0)
+        self.settle(rest)
 
     def points(self, parameters: Array) -> Array:
         """Return the points of the slave (n, 3)."""
@@ -526,6 +554,7 @@ class Facing:
             master.extraction,
             master.sign,
             master.part,
+            master.inner,
             np.ascontiguousarray(self.points(parameters)),
             self._candidates,
             BEYOND,
@@ -546,10 +575,12 @@ class Facing:
         gap = np.where(found.host >= 0, found.gap, -np.inf)
         self._part = np.where(gap[:, 0] > -SETTLED, 0, np.argmax(gap, axis=1))
         each = np.arange(len(gap))
-        outside = np.where(found.host >= 0, found.outside, 0.0)[each, self._part]
+        outside = found.outside[each, self._part]
+        deeper = self.least - found.gap[each, self._part]
         gap[each, self._part] = -np.inf
         behind = np.clip(-gap.max(axis=1) / EDGE, 0.0, 1.0)
-        self.share = behind * np.maximum(1.0 - outside / FADE, 0.0)
+        shallow = np.clip(2.0 - deeper / np.where(outside > 0.0, SHALLOW, SETTLED), 0.0, 1.0)
+        self.share = behind * shallow * np.maximum(1.0 - outside / FADE, 0.0)
 
     def project(self, parameters: Array) -> Projection:
         """Find the closest point of the part of the master that pushes each point out."""
