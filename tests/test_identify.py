@@ -212,13 +212,14 @@ def test_certainty_names_muscles_that_do_the_same():
     n = 400
     slopes = rng.standard_normal((n, 2))
     matrix = np.hstack([slopes, slopes[:, :1] + 1e-2 * rng.standard_normal((n, 1))])
-    matrix = np.hstack([matrix, rng.standard_normal((n, 6))])
+    matrix = np.hstack([matrix, rng.standard_normal((n, 7))])
     feet = type("Feet", (), {"points": 200.0 * rng.random((n, 3))})()
     point = _Point.__new__(_Point)
     point.matches = Matches(
         feet, np.zeros((n, 3)), 0.3 * np.ones(n), 50.0 * rng.random((n, 3)), np.full(n, 1.0 / n)
     )
-    point.mean, point.pose_cost, point.scales = 0.09, 0.1, np.ones(3)
+    point.mean, point.pose_cost, point.scales = 0.09, 1.0, np.ones(3)
+    point.units = np.ones(7)
     point.unknowns = [Unknown(name, 0.0, 1.0, 1.0) for name in "abc"]
     deviations, pairs = _certainty(matrix, point)
     assert [set(pair[:2]) for pair in pairs] == [{"a", "c"}] and pairs[0][2] < -0.99

@@ -26,7 +26,7 @@ from ..fitting.register import Registration
 from ..mechanics.continuation import Continuation, Settings
 from ..mechanics.face import Face
 from ..mechanics.problem import State
-from .target import Matches, Target
+from .target import Target
 from .unknown import FURTHER, Driven, Unknown
 
 __all__ = ["Identification", "identify"]
@@ -182,7 +182,7 @@ class _Search:
         return _Point(values, pose, self._path.state, self.target, self.driven.unknowns)
 
     def slopes(self) -> Array:
-        """Return the derivatives of the residuals by unknowns and pose, (n, k + 6)."""
+        """Return the derivatives of the residuals by unknowns and pose, (n, k + 7)."""
         change = self.driven.slopes(self._path, self.reached.values)
         return self.reached.matches.slopes(self.target.skin, change)
 
@@ -203,11 +203,10 @@ class _Search:
         reached, kept = self.reached, (self._path.problem, self._path.state)
         while self._radius > 1e-3:
             step, turn = _step(matrix, reached, self._radius)
-            shift = np.abs(turn / _pose_scales(reached.matches)).max()
-            if np.abs(step / reached.scales).max() < _SMALL_STEP and shift < _SMALL_SHIFT:
+            if np.abs(step).max() < _SMALL_STEP and np.abs(turn).max() < _SMALL_SHIFT:
                 return 0.0
-            values = np.clip(reached.values + step, reached.low, reached.high)
-            pose = _turned(reached.pose, turn, self.target)
+            values = np.clip(reached.values + step * reached.scales, reached.low, reached.high)
+            pose = _turned(reached.pose, turn * reached.units, self.target)
             problem = self.driven.problem(values)
             if problem is not self._path.problem:
                 self._path = Continuation(problem, self._path.state, settings=_WARM)
@@ -251,10 +250,15 @@ class _Point:
         columns = [(u.low, u.high, u.scale, u.usual, u.cost) for u in unknowns]
         self.low, self.high, self.scales, usual, self.cost = np.array(columns).T
         self.shares = (values - usual) / self.scales
-        # The same six coordinates as those of a step: turns about the middle, and shifts.
+        # Turns (radians), shifts and growth that move the face by a millimetre; one that is known
+        # does not grow.
+        reach = max(float(np.sqrt((self.matches.arms**2).sum(axis=1).mean())), 1.0)
+        grows = 0.0 if target.known_pose else 1.0 / reach
+        self.units = np.array([*[1.0 / reach] * 3, *[1.0] * 3, grows])
+        # The same coordinates as those of a step.
         turn = Rotation.from_matrix(pose.rotation).as_rotvec()
         shift = pose.apply(target.middle) - target.middle
-        self.moved = np.concatenate([turn, shift]) / _pose_scales(self.matches)
+        self.moved = np.array([*reach * turn, *shift, reach * np.log(pose.scale)])
         self.pose_cost = _KNOWN_POSE_COST if target.known_pose else _POSE_COST
 
     def energy(self, mean: float) -> float:
@@ -264,51 +268,48 @@ class _Point:
         return float(self.mean + mean * regular)
 
     def gradient(self, matrix: Array) -> Array:
-        """Return the derivatives of `energy` by the unknowns and the pose in their units, (k + 6,).
+        """Return the derivatives of `energy` by the unknowns and the pose in their units, (k + 7,).
 
         Parameters
         ----------
-        matrix : (n, k + 6) array
+        matrix : (n, k + 7) array
             Of `Matches.slopes`.
         """
         k = len(self.values)
-        units = np.concatenate([self.scales, _pose_scales(self.matches)])
+        units = np.concatenate([self.scales, self.units])
         slope = 2.0 * units * (matrix.T @ (self.matches.weight * self.matches.residual))
         slope[:k] += self.mean * (ALPHA * self.cost + 2.0 * BETA * self.shares)
         slope[k:] += 2.0 * self.mean * self.pose_cost * self.moved
         return np.asarray(slope)
 
 
-def _pose_scales(matches: Matches) -> Array:
-    """Return turns (radians) and shifts (mm) that move the face by a millimetre."""
-    reach = np.sqrt((matches.arms**2).sum(axis=1).mean())
-    return np.array([1.0 / max(reach, 1.0)] * 3 + [1.0] * 3)
-
-
 def _step(matrix: Array, point: _Point, radius: float) -> tuple[Array, Array]:
-    """Return the bounded Gauss-Newton step of the unknowns, and that of the pose."""
+    """Return the bounded Gauss-Newton step of unknowns and pose, in their units."""
     matches, scales = point.matches, point.scales
     k = len(scales)
-    units = np.concatenate([scales, _pose_scales(matches)])
+    units = np.concatenate([scales, point.units])
     scaled = matrix * units
     hessian = scaled.T @ (matches.weight[:, None] * scaled)
     hessian[np.arange(k), np.arange(k)] += BETA * point.mean
-    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.mean * point.pose_cost
-    hessian[np.arange(k + 6), np.arange(k + 6)] += 1e-9
+    hessian[np.arange(k, k + 7), np.arange(k, k + 7)] += point.mean * point.pose_cost
+    hessian[np.arange(k + 7), np.arange(k + 7)] += 1e-9
     root = np.linalg.cholesky(hessian)
-    low = np.concatenate([np.maximum((point.low - point.values) / scales, -radius), [-2.0] * 6])
-    high = np.concatenate([np.minimum((point.high - point.values) / scales, radius), [2.0] * 6])
+    low = np.concatenate([np.maximum((point.low - point.values) / scales, -radius), [-2.0] * 7])
+    high = np.concatenate([np.minimum((point.high - point.values) / scales, radius), [2.0] * 7])
     high = np.maximum(high, low + 1e-12)
     right = -0.5 * np.linalg.solve(root, point.gradient(matrix))
     found = lsq_linear(root.T, right, (low, high), method="bvls")
-    return found.x[:k] * scales, found.x[k:] * units[k:]
+    return found.x[:k], found.x[k:]
 
 
 def _turned(pose: Registration, step: Array, target: Target) -> Registration:
-    turn = Rotation.from_rotvec(step[:3]).as_matrix()
+    """Return a pose that is turned about the middle, grown and shifted by a step."""
+    turn, growth = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
     middle = pose.apply(target.middle)
     return Registration(
-        1.0, turn @ pose.rotation, turn @ (pose.translation - middle) + middle + step[3:]
+        growth * pose.scale,
+        turn @ pose.rotation,
+        growth * turn @ (pose.translation - middle) + middle + step[3:6],
     )
 
 
@@ -323,14 +324,14 @@ def _certainty(
     matches = point.matches
     names = [item.name for item in point.unknowns]
     k = len(names)
-    units = np.concatenate([point.scales, _pose_scales(matches)])
+    units = np.concatenate([point.scales, point.units])
     scaled = matrix * units
     hessian = scaled.T @ (matches.weight[:, None] * scaled)
-    hessian[np.arange(k, k + 6), np.arange(k, k + 6)] += point.mean * point.pose_cost
-    hessian += 1e-12 * np.trace(hessian) * np.eye(k + 6)
+    hessian[np.arange(k, k + 7), np.arange(k, k + 7)] += point.mean * point.pose_cost
+    hessian += 1e-12 * np.trace(hessian) * np.eye(k + 7)
     places = np.round(matches.feet.points / _CORRELATION_LENGTH).astype(np.int64)
     patches = len(np.unique(places, axis=0)) * matches.weight.sum()
-    independent = max(patches - k - 6, 1)
+    independent = max(patches - k - 7, 1)
     covariance = point.mean / independent * np.linalg.inv(hessian)[:k, :k]
     deviation = np.sqrt(np.diag(covariance))
     correlation = covariance / np.maximum(np.outer(deviation, deviation), 1e-300)

@@ -72,13 +72,14 @@ class Matches:
 
         Returns
         -------
-        (n, k + 6) array
-            Last those by turns about the middle (radians) and shifts (mm).
+        (n, k + 7) array
+            Last those by turns about the middle (radians), shifts (mm) and growth about it (1).
         """
         motion = skin.motion(self.feet, change)
         moved = -np.einsum("ni,nik->nk", self.directions, motion)
-        pose = np.hstack([np.cross(self.arms, self.directions), self.directions])
-        return np.hstack([moved, pose])
+        growth = (self.arms * self.directions).sum(axis=1)
+        turns = np.cross(self.arms, self.directions)
+        return np.column_stack([moved, turns, self.directions, growth])
 
 
 class Target(Protocol):
@@ -90,7 +91,8 @@ class Target(Protocol):
     middle : (3,) array
         Of the measured points; the pose turns about it.
     known_pose : bool
-        Whether the pose that was given comes from parts that keep still, or the same face at rest.
+        Whether the pose that was given comes from parts that keep still, or the same face at rest,
+        which also tells the size.
     """
 
     skin: Skin
