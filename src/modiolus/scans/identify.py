@@ -48,7 +48,7 @@ _WARM = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2, augmentations=0)
 _POSE_COST, _KNOWN_POSE_COST = 0.2, 2.0
 #: Two unknowns whose estimates correlate more than this can hardly be told apart.
 _CORRELATED = 0.8
-#: An unknown that is known no better than this (of its scale) is not identifiable.
+#: An unknown is not identifiable where two standard deviations exceed this (of its scale).
 _UNSURE = 0.1
 #: Spacing (mm) below which the errors of a measurement and of the model's shape are alike.
 _CORRELATION_LENGTH = 10.0
@@ -145,7 +145,7 @@ def identify(
         deviations=deviations,
         correlated=correlated,
         unsure=tuple(
-            item.name for item in unknowns if deviations[item.name] > _UNSURE * item.scale
+            item.name for item in unknowns if 2.0 * deviations[item.name] > _UNSURE * item.scale
         ),
         solves=search.solves,
     )
