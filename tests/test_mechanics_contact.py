@@ -204,8 +204,8 @@ def test_points_far_inside_a_body_are_let_go():
         meeting.settle(moved)
         return meeting.share
 
-    np.testing.assert_allclose(share(0.5 * facing.SETTLED), 1.0)
-    np.testing.assert_allclose(share(1.5 * facing.SETTLED), 0.5)
-    np.testing.assert_allclose(share(2.5 * facing.SETTLED), 0.0)
+    np.testing.assert_allclose(share(facing.DEEPEST / 2), 1.0)
+    np.testing.assert_allclose(share(facing.DEEPEST * 5 / 6), 0.5)
+    np.testing.assert_allclose(share(facing.DEEPEST + 0.1), 0.0)
     # Far before the body they are free to come.
     np.testing.assert_allclose(share(-30.0), 1.0)

@@ -40,11 +40,10 @@ BEYOND = 1.0
 DEEPEST = 3.0
 #: Points farther than this (mm) from the master are not followed.
 FREE = 0.5
-#: Overlap (mm) up to which a point that begins a load step inside a body belongs to a side of it;
-#: one of twice that is on its way through the far side, and let go.
-SETTLED = 1.0
 #: The same beyond the master's border, where its tangent plane soon cuts through anything.
-SHALLOW = 0.25
+SHALLOW = 0.5
+#: Overlap (mm) up to which a point that begins a load step inside a body belongs to a side of it.
+SETTLED = 1.0
 #: Distance (mm) from the edge to a flank over which points are let go that slide out there.
 EDGE = 0.15
 #: How many times a width beyond an edge to a neighbour counts, which is there to be met instead.
@@ -579,8 +578,9 @@ class Facing:
         deeper = self.least - found.gap[each, self._part]
         gap[each, self._part] = -np.inf
         behind = np.clip(-gap.max(axis=1) / EDGE, 0.0, 1.0)
-        shallow = np.clip(2.0 - deeper / np.where(outside > 0.0, SHALLOW, SETTLED), 0.0, 1.0)
-        self.share = behind * shallow * np.maximum(1.0 - outside / FADE, 0.0)
+        # From two thirds of the way to the far side on.
+        through = 3.0 * deeper / np.where(outside > 0.0, SHALLOW, DEEPEST)
+        self.share = behind * np.clip(3.0 - through, 0.0, 1.0) * np.maximum(1 - outside / FADE, 0.0)
 
     def project(self, parameters: Array) -> Projection:
         """Find the closest point of the part of the master that pushes each point out."""
