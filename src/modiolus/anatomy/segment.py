@@ -150,7 +150,7 @@ def segment_skin(image: Image, tell: Progress | None = None) -> Segmentation:
     low, high = np.median(coarse.values[~bright]), np.median(coarse.values[bright])
     head = _head(coarse, coarse.values > low + _FIRST * (high - low))
     for _ in range(_ROUNDS):
-        head = _head(coarse, _relative(coarse, coarse.values, head) > _FIRST - 0.5, near=head)
+        head = _head(coarse, _relative(coarse, coarse.values, head) > 0.0, near=head)
     tell(0.6, "local level")
     head = _enlarged(head.astype(np.float32), factors, values.shape) > 0.5
     smooth = _smoothed(image, values)
