@@ -1,5 +1,7 @@
 """A small head for tests: two blocks that meet like lips, on two boxes of bone."""
 
+import signal
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,6 +11,9 @@ from modiolus.anatomy import DistanceGrid
 from modiolus.face.head import Attachment, Head, RigidSurface
 from modiolus.face.muscle import Muscle
 from modiolus.hermite import HermiteMesh, gauss
+
+# What a shell starts in the background ignores Ctrl-C, and so would all tests of it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _block(x, y, z, counts):

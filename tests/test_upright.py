@@ -10,6 +10,7 @@ import pytest
 
 from modiolus.cli import main
 from modiolus.cli.upright import greatest
+from modiolus.errors import SolveError
 from modiolus.face.head import Head
 from modiolus.face.moved import moved_head
 from modiolus.hermite import HermiteMesh, grid
@@ -69,6 +70,12 @@ def test_a_face_is_recovered_from_lying(block_head: Head) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(
+    raises=(AssertionError, SolveError),
+    strict=True,
+    reason="since the upper lip slides freely on the gum, two places of it lie alike to 0.02 mm: "
+    "the one that is found is 0.5 mm from the other there (0.08 mm rms over the face)",
+)
 def test_taro_is_recovered_from_lying() -> None:
     recovered(Head.load("taro"), DENSITY, moved=0.4, within=0.05)
 
