@@ -24,7 +24,8 @@ import numpy as np
 from modiolus.anatomy import Surface
 from modiolus.errors import InputError, SolveError
 from modiolus.face.head import Head
-from modiolus.face.morph import gates, morph_head
+from modiolus.face.morph import gates
+from modiolus.face.subject import Structures, build_subject
 
 #: Height (mm) of what is kept of a body below its crown.
 KEPT = 260.0
@@ -109,7 +110,7 @@ def main() -> None:
             continue
         began = time.perf_counter()
         try:
-            quality = morph_head(head, skin)[1]
+            quality = build_subject(head, Structures(skin))[1]
             failed = {gate.name: gate.value for gate in gates(quality) if not gate.passed}
         except (InputError, SolveError) as error:
             quality, failed = {}, {"fault": str(error)}

@@ -18,11 +18,11 @@ from modiolus.face.morph import (
     align,
     closed_surface,
     gates,
-    morph_head,
     quality_text,
     skin_surface,
     thickness,
 )
+from modiolus.face.subject import Structures, build_subject
 from modiolus.hermite import symmetry_plane
 
 ICT = Path(__file__).parents[2] / "shared" / "scans" / "ict"
@@ -61,7 +61,7 @@ def morphed(taro: Head) -> tuple[Head, dict, np.ndarray]:
     scan = Surface(turn.apply(there) / 1000.0 + 0.4, skin.faces, "warped")
     picked = np.linspace(0, len(there) - 1, 9).astype(int)
     pairs = scan.vertices[picked], skin.vertices[picked]
-    head, quality = morph_head(taro, scan, pairs, name="warped")
+    head, quality = build_subject(taro, Structures(scan), pairs, name="warped")
     return head, quality, there
 
 

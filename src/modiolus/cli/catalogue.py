@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,9 +45,7 @@ def catalogue(
             try:
                 state = runner.solve(muscle.name, {muscle.name: activation})
             except LoadNotReached as error:
-                state = replace(
-                    error.state, statistics=replace(error.state.statistics, converged=False)
-                )
+                state = error.state.short()
                 activation *= error.reached
                 short.append(f"{muscle.name}: {error}")
             title = muscle.name.replace("_", " ")

@@ -72,7 +72,7 @@ def morph(
     with whole_folder(out, marker="head.toml") as folder:
         with Progress(f"morphing {source.name}", quiet=quiet) as progress:
             morphed, quality = build_subject(
-                source, Structures(surface, {}, {}, []), pairs, progress.update, name
+                source, Structures(surface), pairs, progress.update, name
             )
         change = f"morphed from {source.name} to the surface {to.name}"
         origin = Origin(f"surface {to.name}", change, subject or f"the face of {to.name}", notice)

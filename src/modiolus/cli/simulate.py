@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -156,11 +155,9 @@ def _stopped(
 ) -> Path:
     """Write the last state on the way to a load that was not reached; return its folder."""
     place = target.with_name(f"{target.name}-stopped")
-    statistics = replace(error.state.statistics, converged=False)
     title = f"{wanted.title or wanted.name}, stopped at {error.reached:.0%}"
     with whole_folder(place, marker="report.json") as folder:
-        state = replace(error.state, statistics=statistics)
-        runner.write(wanted.name, title, state, folder, place, began)
+        runner.write(wanted.name, title, error.state.short(), folder, place, began)
     return place
 
 

@@ -104,7 +104,7 @@ def validate(
     unknowns(chosen, None, (), further)
     with whole_folder(target, marker="report.json") as draft:
         from modiolus.face.landmarks import read_landmarks
-        from modiolus.face.morph import morph_head
+        from modiolus.face.subject import Structures, build_subject
         from modiolus.scans.align import Alignment, align_to_neutral, register_scan
         from modiolus.scans.skin import Skin
 
@@ -112,8 +112,8 @@ def validate(
         pairs = None if landmarks is None else read_landmarks(landmarks, chosen)
         if not head:
             with Progress("morphing the head", quiet=quiet) as progress:
-                chosen, quality = morph_head(
-                    chosen, neutral.surface, pairs, progress.update, subject
+                chosen, quality = build_subject(
+                    chosen, Structures(neutral.surface), pairs, progress.update, subject
                 )
             (draft / "head").mkdir()
             chosen.save(draft / "head")

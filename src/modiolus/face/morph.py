@@ -565,52 +565,6 @@ class _Whole:
         return moved
 
 
-def morph_head(
-    head: Head,
-    surface: Surface,
-    landmarks: tuple[ArrayLike, ArrayLike] | None = None,
-    report: Progress | None = None,
-    name: str = "morphed",
-) -> tuple[Head, dict[str, Any]]:
-    """Morph a head to the surface of a face.
-
-    Parameters
-    ----------
-    head : Head
-        A left half.
-    surface : Surface
-        Skin of a face, of any pose, in mm, cm or m; it may have holes and lack a side.
-    landmarks : ((n, 3) array, (n, 3) array), optional
-        Matched points of the surface, in its own frame, and of the head.
-    report : callable, optional
-        Told ``(fraction, message)`` as the work goes on.
-    name : str
-        Name of the new head.
-
-    Returns
-    -------
-    head : Head
-        In the frame of the old one and in the size of the surface.
-    quality : dict
-        Figures of the fit, see `gates`.
-
-    Raises
-    ------
-    InputError
-        Landmarks or surface are unusable.
-    SolveError
-        The surface does not meet the head.
-    """
-    tell = report or (lambda _fraction, _message: None)
-    tell(0.0, "finding the pose of the surface")
-    aligned = align(head, surface, landmarks)
-    morphed, margins = carried_head(head, aligned, report, name)
-    tell(0.9, "quality")
-    quality = morph_quality(head, morphed, aligned, margins)
-    tell(1.0, "done")
-    return morphed, quality
-
-
 def carried_head(
     head: Head, aligned: Aligned, report: Progress | None = None, name: str = "morphed"
 ) -> tuple[Head, list[PointTarget]]:

@@ -9,7 +9,7 @@ comes from is written down in its provenance.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -80,9 +80,9 @@ class Structures:
     """
 
     skin: Surface
-    muscles: dict[str, Sides]
-    deep: dict[str, Sides]
-    unused: list[str]
+    muscles: dict[str, Sides] = field(default_factory=dict)
+    deep: dict[str, Sides] = field(default_factory=dict)
+    unused: list[str] = field(default_factory=list)
 
 
 def sort_structures(surfaces: Mapping[str, Surface], head: Head) -> Structures:

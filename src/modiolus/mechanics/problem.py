@@ -102,6 +102,10 @@ class State:
     load: Load = field(default_factory=Load)
     statistics: Statistics = field(default_factory=Statistics)
 
+    def short(self) -> State:
+        """Return the state as one on the way to a load that was not reached."""
+        return replace(self, statistics=replace(self.statistics, converged=False))
+
     @property
     def displacement(self) -> Array:
         """Displacement of the parameters, (n_params, 3)."""
