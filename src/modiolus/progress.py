@@ -3,10 +3,14 @@
 import signal
 import sys
 import time
+from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Self, TextIO
 
-__all__ = ["Interruption", "Progress"]
+__all__ = ["Interruption", "Progress", "Report"]
+
+#: What long work tells of: the share that is done, and a few words on what goes on.
+Report = Callable[[float, str], None]
 
 _SECONDS_BETWEEN_LINES = 5.0
 

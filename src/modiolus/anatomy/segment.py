@@ -24,7 +24,6 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,13 +37,13 @@ from modiolus.anatomy.image import Image, simpleitk
 from modiolus.anatomy.surface import Surface
 from modiolus.errors import InputError
 from modiolus.hermite.basis import smooth_step
+from modiolus.progress import Report
 
 __all__ = ["Segmentation", "isosurface", "outer_skin", "segment_skin"]
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Progress = Callable[[float, str], None]
 
 #: Voxels are averaged to about this size (mm) where they are smaller: no skin is known better.
 _FINEST = 0.7
@@ -120,7 +119,7 @@ class Segmentation:
         return float(self.mask.sum()) * self.image.voxel_volume * 1e-6
 
 
-def segment_skin(image: Image, tell: Progress | None = None) -> Segmentation:
+def segment_skin(image: Image, tell: Report | None = None) -> Segmentation:
     """Find the skin of a head in a T1-weighted image.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from ..anatomy import DEEP_STRUCTURES, BodyParts3D, DistanceGrid, deep_distances
 from ..anatomy.surface import Surface
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
+from ..progress import Report
 from .embed import (
     LID_SHIFT,
     bring_inside,
@@ -31,8 +32,6 @@ from .provenance import GIVEN, INFERRED
 from .template import NECK_CUT
 from .tissue import EYE_CENTRE, EYE_RADIUS, Tissue, build_tissue, eyeball, outer_sheet
 
-Progress = Callable[[float, str], None]
-
 #: Spacing of the eyeball's distance grid (mm).
 _EYE_SPACING = 0.7
 
@@ -44,7 +43,7 @@ ATTRIBUTION = (
 
 
 def build_head(
-    folder: str | Path, report: Progress | None = None, name: str = "taro"
+    folder: str | Path, report: Report | None = None, name: str = "taro"
 ) -> tuple[Head, str]:
     """Build a head from named surfaces.
 

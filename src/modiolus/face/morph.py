@@ -27,12 +27,12 @@ from ..fitting import PointTarget, Registration, Smoothing, fit, icp, register
 from ..fitting.register import Matcher, sphere
 from ..hermite import HermiteMesh, grid, symmetry_plane
 from ..hermite.basis import Array
+from ..progress import Report
 from .embed import boundary_surface, bring_inside
 from .head import Head, RigidSurface
 from .margins import Margins, find_margins
 from .muscle import Muscle
 
-Progress = Callable[[float, str], None]
 Map = Callable[[Array], Array]
 
 #: Elements of the host box: lateral, backward, up; its room around the head (mm).
@@ -566,7 +566,7 @@ class _Whole:
 
 
 def carried_head(
-    head: Head, aligned: Aligned, report: Progress | None = None, name: str = "morphed"
+    head: Head, aligned: Aligned, report: Report | None = None, name: str = "morphed"
 ) -> tuple[Head, list[PointTarget]]:
     """Carry a head to a surface that has been brought into its frame.
 

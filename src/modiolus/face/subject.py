@@ -22,11 +22,11 @@ from ..errors import InputError
 from ..fitting import PointTarget, Smoothing
 from ..hermite import HermiteMesh, symmetry_plane
 from ..hermite.basis import Array
+from ..progress import Report
 from .embed import bring_inside, insertions, muscle_fraction, origins
 from .head import Head, RigidSurface
 from .morph import (
     Aligned,
-    Progress,
     align,
     carried_head,
     morph_quality,
@@ -126,7 +126,7 @@ def build_subject(
     head: Head,
     structures: Structures,
     landmarks: tuple[ArrayLike, ArrayLike] | None = None,
-    report: Progress | None = None,
+    report: Report | None = None,
     name: str = "subject",
 ) -> tuple[Head, dict[str, Any]]:
     """Make a head from the structures of a subject; what is missing is carried over from another.

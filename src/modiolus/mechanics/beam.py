@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from ..errors import InputError
 from ..face.muscle import Muscle
 from ..hermite import HermiteMesh, gauss, grid
+from ..progress import Report
 from .constraints import clamp
-from .continuation import Continuation, Report
+from .continuation import Continuation
 from .laws import FAT, MUSCLE, Array, mix
 from .problem import Problem, State
 from .terms import FibreQuadrature, Fibres

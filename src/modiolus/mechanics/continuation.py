@@ -18,13 +18,11 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import SolveError
+from ..progress import Report
 from .laws import Array, Law
 from .linear import LinearSolver, best_solver, symmetric_product
 from .problem import Evaluation, Problem, State
 from .terms import Load
-
-#: Called with the fraction of the load reached and a message.
-Report = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from ..face.jaw import FOLLOWERS, Jaw, opening
 from ..face.refine import at_gauss
 from ..face.tissue import Side
 from ..hermite import symmetry_plane
+from ..progress import Report
 from .constraints import clamp
 from .contact import RigidContact, SurfaceContact, face_points
 from .continuation import Continuation
@@ -121,7 +122,7 @@ class Face:
         self,
         expression: Expression | str,
         start: State | None = None,
-        report: Callable[[float, str], None] | None = None,
+        report: Report | None = None,
     ) -> State:
         """Follow the face to an expression, or to that of a name or a TOML file; see `solve`."""
         wanted = Expression.named(expression) if isinstance(expression, str) else expression
@@ -132,7 +133,7 @@ class Face:
         activations: Mapping[str, float],
         jaw_open: float = 0.0,
         start: State | None = None,
-        report: Callable[[float, str], None] | None = None,
+        report: Report | None = None,
     ) -> State:
         """Follow the face to a load: one side of it when both do the same, or else both.
 

@@ -23,6 +23,7 @@ from ..errors import InputError, SolveError
 from ..face.head import Head
 from ..face.moved import moved_head
 from ..hermite import HermiteMesh
+from ..progress import Report
 from .continuation import Continuation, Settings
 from .face import FaceSettings, face_problem
 from .laws import Array
@@ -50,8 +51,6 @@ MOST_ROUNDS = 15
 
 #: Makes the problem of a reference shape with its weight under the name ``weight``.
 Build = Callable[[HermiteMesh], Problem]
-#: Called with (share of the work done, message).
-Report = Callable[[float, str], None]
 
 
 def weight(direction: tuple[float, float, float] | Array, density: float = DENSITY) -> Array:

@@ -13,7 +13,7 @@ usual value ``u_k``, cost ``c_k`` and bounds are those of `modiolus.scans.unknow
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,13 +26,13 @@ from ..fitting.register import Registration
 from ..mechanics.continuation import Continuation, Settings
 from ..mechanics.face import Face
 from ..mechanics.problem import State
+from ..progress import Report
 from .target import Target
 from .unknown import FURTHER, Driven, Unknown
 
 __all__ = ["Identification", "identify"]
 
 Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 
 #: Weights of the sum of the activations and of the squares.
 ALPHA, BETA = 5e-3, 1e-3
