@@ -151,6 +151,21 @@ def test_an_arch_snaps_through(shallow_arch):
     assert run.state.statistics.wrong_pivots == 0
 
 
+@pytest.mark.parametrize(
+    ("load", "words"),
+    [
+        (Load(forces={"pusch": 0.3}), "force 'pusch': no such force; did you mean push"),
+        (Load(forces={"push": np.nan}), "push: factor nan"),
+        (Load({"mentalis": 0.3}), "muscle 'mentalis'"),
+        (Load(prescribed=np.zeros((3, 3))), "prescribed: shape"),
+        (Load(jaw=np.inf), "jaw: angle inf"),
+    ],
+)
+def test_a_load_of_what_there_is_not_is_refused(shallow_arch, load, words):
+    with pytest.raises(InputError, match=words):
+        solve(shallow_arch[0], load)
+
+
 def test_relaxation_finds_the_equilibrium_beyond_a_jump(shallow_arch):
     problem, sag = shallow_arch
     before = Continuation(problem).run(Load(forces={"push": 0.12}))

@@ -180,12 +180,15 @@ class Continuation:
 
         Raises
         ------
+        InputError
+            The load drives what the problem has not, see `Problem.check_load`.
         LoadNotReached
             A `SolveError` whose text says how far it came, what stopped it, where the tissue
             suffers most and what to try.
         Interrupted
             A `KeyboardInterrupt` that has the last converged state.
         """
+        self.problem.check_load(load)
         self._reached = 0.0
         try:
             return self._follow(load)

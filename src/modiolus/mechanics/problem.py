@@ -374,12 +374,34 @@ class Problem:
         InputError
             If a muscle is not known or an activation is not within 0..1.
         """
-        for name, value in activations.items():
+        load = Load(dict(activations), prescribed)
+        self.check_load(load)
+        return load
+
+    def check_load(self, load: Load) -> None:
+        """Refuse a load that drives what there is not, or beyond what it can be.
+
+        Raises
+        ------
+        InputError
+            If a muscle or a force is not known, an activation is not within 0..1, a factor is not
+            finite, or the prescribed displacements do not fit the mesh.
+        """
+        for name, value in load.activations.items():
             if name not in self.muscles:
                 raise unknown_name("muscle", name, self.muscles)
             if not 0.0 <= value <= 1.0:
                 raise InputError(f"{name}: activation {value} is not within 0..1; mend it")
-        return Load(dict(activations), prescribed)
+        driven = [term.name for term in self.terms if term.driven]
+        for name, value in load.forces.items():
+            if name not in driven:
+                raise unknown_name("force", name, driven)
+            if not np.isfinite(value):
+                raise InputError(f"{name}: factor {value} of the force; give a finite number")
+        if not np.isfinite(load.jaw):
+            raise InputError(f"jaw: angle {load.jaw}; give a finite number")
+        if load.prescribed is not None:
+            numbers("prescribed", load.prescribed, self.mesh.n_params, 3)
 
     def rest(self) -> State:
         """Return the tissue at rest."""

@@ -40,8 +40,8 @@ class Load:
     jaw : float
         Angle in radians by which the jaw is open.
     forces : mapping of str to float
-        Factor of each `DeadForces`, `FollowerPressure` and `Tension` by its name; 0 for those
-        not named.
+        Factor of each term that is `PointTerm.driven` by its name, such as `DeadForces`; 0 for
+        those not named.
     offsets : mapping of str to (n,) array
         Depth in mm by which the points of a contact are pressed beyond the penalty's: the
         multipliers of the augmented penalty, which `Continuation` finds.
@@ -133,6 +133,8 @@ class PointTerm(ABC):
     width: int = 1
     #: Whether the functionals depend on the configuration, see `follow`.
     follows: bool = False
+    #: Whether `Load.forces` has a factor of it.
+    driven: bool = False
     name: str
     functions: sp.csr_matrix
     hosts: IntArray
@@ -421,6 +423,8 @@ class DeadForces(PointTerm):
     name : str
     """
 
+    driven = True
+
     def __init__(
         self,
         mesh: HermiteMesh,
@@ -471,6 +475,7 @@ class FollowerPressure(PointTerm):
     name : str
     """
 
+    driven = True
     width = 3
 
     def __init__(
@@ -530,6 +535,8 @@ class Tension(PointTerm):
     name : str
         Of the tension in kPa in `Load.forces`.
     """
+
+    driven = True
 
     def __init__(
         self,
