@@ -48,8 +48,7 @@ def measured(skin: Skin, parameters: np.ndarray, noise: float, rng: np.random.Ge
     rough = noise * rng.standard_normal((len(surface.vertices), 1)) * surface.vertex_normals
     turn = Rotation.random(random_state=rng).as_matrix()
     points = (surface.vertices + rough) @ turn.T + 100.0 * rng.standard_normal(3)
-    found = Surface(points, surface.faces, "draw")
-    return Scan("draw", found.vertices, found.vertex_normals, found)
+    return Scan.of(Surface(points, surface.faces, "draw"))
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""A small head for tests: two blocks that meet like lips, on two boxes of bone."""
+"""Heads for tests: one that ships, and a small one, two blocks that meet like lips on bone."""
 
 import signal
 
@@ -11,6 +11,7 @@ from modiolus.anatomy import DistanceGrid
 from modiolus.face.head import Attachment, Head, RigidSurface
 from modiolus.face.muscle import Muscle
 from modiolus.hermite import HermiteMesh, gauss
+from modiolus.scans.skin import Skin
 
 # What a shell starts in the background ignores Ctrl-C, and so would all tests of it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -34,6 +35,16 @@ def _box(low, high, spacing=2.0):
     distance = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
     distance += np.minimum(beyond.max(axis=-1), 0.0)
     return DistanceGrid(origin, spacing, np.round(np.clip(distance / 0.05, -127, 127)).astype("i1"))
+
+
+@pytest.fixture(scope="session")
+def taro():
+    return Head.load("taro")
+
+
+@pytest.fixture(scope="session")
+def skin(taro):
+    return Skin(taro)
 
 
 @pytest.fixture(scope="session")

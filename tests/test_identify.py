@@ -12,7 +12,6 @@ from modiolus.anatomy.surface import Surface
 from modiolus.cli import main
 from modiolus.errors import InputError, SolveError
 from modiolus.face.expression import Expression
-from modiolus.face.head import Head
 from modiolus.face.refine import refined
 from modiolus.fitting.register import Registration
 from modiolus.mechanics import Continuation, Load, Settings, State
@@ -27,20 +26,6 @@ from modiolus.scans.target import MarkerTarget, Matches, ScanTarget
 from modiolus.scans.unknown import Driven, Unknown, muscle_set, unknowns
 
 STILL = Registration(1.0, np.eye(3), np.zeros(3))
-
-
-@pytest.fixture(scope="module")
-def taro():
-    return Head.load("taro")
-
-
-@pytest.fixture(scope="module")
-def skin(taro):
-    return Skin(taro)
-
-
-def scan_of(surface, name="scan"):
-    return Scan(name, surface.vertices, surface.vertex_normals, surface)
 
 
 def markers_on(skin, parameters):
@@ -184,9 +169,9 @@ def test_the_gradient_of_the_distances_agrees_with_finite_differences(taro, skin
     rest = taro.tissue.parameters
     surface = skin.surface(rest)
     bump = 0.2 * np.sin(0.2 * surface.vertices[:, :1]) * surface.vertex_normals
-    neutral = scan_of(Surface(surface.vertices + bump, surface.faces, "neutral"))
+    neutral = Scan.of(Surface(surface.vertices + bump, surface.faces, "neutral"))
     smile = skin.surface(rest + 0.1 * change[:, :, 0]).vertices
-    target = ScanTarget(skin, scan_of(Surface(smile + bump, surface.faces, "smile")), neutral)
+    target = ScanTarget(skin, Scan.of(Surface(smile + bump, surface.faces, "smile")), neutral)
     parameters = rest + 0.04 * change.sum(axis=2)
     target.renew(parameters, STILL)
     matches = target.matches(parameters, STILL)
@@ -232,12 +217,12 @@ def test_scans_that_cannot_be_matched_are_refused(taro, skin, block_head):
     corners = surface.vertices[surface.faces]
     high = (corners[:, :, 2] > surface.vertices[:, 2].max() - 20.0).all(axis=1)
     high &= (np.abs(corners[:, :, 0] - taro.midplane) < 10.0).all(axis=1)
-    inward = Surface(surface.vertices, surface.faces[high][:, ::-1])
+    inward = Surface(surface.vertices, surface.faces[high][:, ::-1], "inward.ply")
     with pytest.raises(InputError, match=r"inward.ply: from the front none"):
-        ScanTarget(skin, scan_of(inward, "inward.ply"))
-    away = Surface(surface.vertices - np.array([0.0, 100.0, 0.0]), surface.faces)
+        ScanTarget(skin, Scan.of(inward))
+    away = Surface(surface.vertices - np.array([0.0, 100.0, 0.0]), surface.faces, "away.ply")
     with pytest.raises(SolveError, match=r"away.ply: it does not meet"):
-        ScanTarget(skin, scan_of(away, "away.ply")).matches(taro.tissue.parameters, STILL)
+        ScanTarget(skin, Scan.of(away)).matches(taro.tissue.parameters, STILL)
     finer = Skin(refined(block_head, (2, 2, 1)))
     with pytest.raises(InputError, match=r"block: its skin has 32 elements.*before it was refined"):
         _ = finer.region
@@ -449,7 +434,7 @@ def test_activations_come_back_from_a_noisy_scan_in_any_pose(taro, skin):
     noise = 0.3 * rng.standard_normal((len(surface.vertices), 1)) * surface.vertex_normals
     turn = Rotation.random(rng=rng).as_matrix()
     moved = Surface((surface.vertices + noise) @ turn.T + 100.0, surface.faces, "smile")
-    placed, _, _ = place(scan_of(moved), skin)
+    placed, _, _ = place(Scan.of(moved), skin)
     found = identify(face, ScanTarget(skin, placed), unknowns(taro, list(true)))
     for name, value in true.items():
         assert abs(found.activations[name] - value) < 0.03 or name in found.unsure

@@ -11,7 +11,6 @@ from modiolus import hermite
 from modiolus.anatomy.surface import Surface
 from modiolus.cli import main
 from modiolus.errors import InputError
-from modiolus.face.head import Head
 from modiolus.face.landmarks import read_landmarks
 from modiolus.fitting.register import Registration
 from modiolus.mechanics import (
@@ -27,21 +26,7 @@ from modiolus.scans.align import align_to_neutral, place, register_scan
 from modiolus.scans.compare import compare, figures
 from modiolus.scans.result import STATE_FILE, load_result, save_state
 from modiolus.scans.scan import Scan
-from modiolus.scans.skin import REGIONS, Skin
-
-
-@pytest.fixture(scope="module")
-def head():
-    return Head.load("taro")
-
-
-@pytest.fixture(scope="module")
-def skin(head):
-    return Skin(head)
-
-
-def scan_of(surface, name="scan"):
-    return Scan(name, surface.vertices, surface.vertex_normals, surface)
+from modiolus.scans.skin import REGIONS
 
 
 def write_ply(path, surface):
@@ -67,22 +52,22 @@ def assert_one_line(error, *words):
 
 
 @pytest.mark.parametrize("kind", [".ply", ".obj", ".stl", ".vtp"])
-def test_surfaces_are_read_alike(kind, skin, head, tmp_path):
+def test_surfaces_are_read_alike(kind, skin, taro, tmp_path):
     import pyvista as pv
 
-    surface = skin.surface(head.tissue.parameters)
+    surface = skin.surface(taro.tissue.parameters)
     path = tmp_path / f"face{kind}"
     pv.PolyData.from_regular_faces(surface.vertices, surface.faces).save(path)
     scan = read_scan(path)
     assert scan.surface.area == pytest.approx(surface.area, rel=1e-4)
     assert scan.weights.sum() == pytest.approx(surface.area, rel=1e-4)
-    near = skin.state(head.tissue.parameters).feet(scan.points, scan.normals)
+    near = skin.state(taro.tissue.parameters).feet(scan.points, scan.normals)
     # At the sharp edges of the margins the normal of a vertex is that of neither side.
     assert (near.distance < 0.01).mean() > 0.99
 
 
-def test_a_cloud_gets_outward_normals_and_a_surface(skin, head, tmp_path):
-    surface = skin.surface(head.tissue.parameters)
+def test_a_cloud_gets_outward_normals_and_a_surface(skin, taro, tmp_path):
+    surface = skin.surface(taro.tissue.parameters)
     points = surface.samples(2.0)
     turned = points @ Rotation.from_euler("xyz", [0.3, 2.0, -1.0]).as_matrix().T + 500.0
     heading = "# made by a scanner\n"
@@ -98,8 +83,8 @@ def test_a_cloud_gets_outward_normals_and_a_surface(skin, head, tmp_path):
     assert scan.surface.area == pytest.approx(surface.area, rel=0.15)
 
 
-def test_bad_scans_are_refused_in_one_line(skin, head, tmp_path):
-    surface = skin.surface(head.tissue.parameters)
+def test_bad_scans_are_refused_in_one_line(skin, taro, tmp_path):
+    surface = skin.surface(taro.tissue.parameters)
     whole = tmp_path / "whole.ply"
     write_ply(whole, surface)
 
@@ -169,21 +154,21 @@ def test_bad_scans_are_refused_in_one_line(skin, head, tmp_path):
 # --- projection
 
 
-def test_projection_is_exact_on_the_hermite_surface(skin, head):
+def test_projection_is_exact_on_the_hermite_surface(skin, taro):
     rng = np.random.default_rng(1)
     elements, xi = rng.integers(0, 252, 400), rng.uniform(0.05, 0.95, (400, 2))
     points = skin.mesh.evaluate(elements, xi)
     normals = skin.outward_normals(skin.mesh, elements, xi)
-    feet = skin.state(head.tissue.parameters).feet(points + 0.4 * normals, normals)
+    feet = skin.state(taro.tissue.parameters).feet(points + 0.4 * normals, normals)
     # At sharp concave places another point of the skin is nearer.
     assert (np.abs(feet.distance - 0.4) < 1e-9).mean() > 0.99
     assert feet.covered.mean() > 0.99
-    mirrored = skin.state(head.tissue.parameters).feet(head.mirror(points + 0.4 * normals))
-    assert mirrored.mirrored[points[:, 0] > head.midplane + 1.0].all()
+    mirrored = skin.state(taro.tissue.parameters).feet(taro.mirror(points + 0.4 * normals))
+    assert mirrored.mirrored[points[:, 0] > taro.midplane + 1.0].all()
     np.testing.assert_allclose(mirrored.distance, feet.distance, atol=1e-6)
 
 
-def test_an_upper_lip_never_projects_to_the_lower_one(skin, head):
+def test_an_upper_lip_never_projects_to_the_lower_one(skin, taro):
     margin = np.flatnonzero(skin.side == 1)
     rng = np.random.default_rng(2)
     elements = rng.choice(margin[margin >= 252], 200)
@@ -192,35 +177,35 @@ def test_an_upper_lip_never_projects_to_the_lower_one(skin, head):
     normals = skin.outward_normals(skin.mesh, elements, xi)
     # An upper lip that a scan has 1.5 mm lower: the lower lip of the head is nearer by far.
     low = points - [0.0, 0.0, 1.5]
-    state = skin.state(head.tissue.parameters)
+    state = skin.state(taro.tissue.parameters)
     feet = state.feet(low, normals)
     assert np.isin(skin.side[feet.elements], [1, 0]).all()
     blind = state.feet(low)
     assert (skin.side[blind.elements] == 2).mean() > 0.5
 
 
-def test_regions_cover_the_face_and_lie_where_they_should(skin, head):
+def test_regions_cover_the_face_and_lie_where_they_should(skin, taro):
     centre = skin.mesh.evaluate(
         np.arange(skin.mesh.n_elements), np.full((skin.mesh.n_elements, 2), 0.5)
     )
     heights = {name: centre[skin.region == number, 2].mean() for number, name in enumerate(REGIONS)}
     order = ["neck", "chin", "lower_lip", "upper_lip", "nose", "lids", "brow", "forehead"]
     assert sorted(order, key=heights.get) == order
-    corner = head.landmark_points()["mouth_corner_left"]
-    feet = skin.state(head.tissue.parameters).feet(corner[None])
+    corner = taro.landmark_points()["mouth_corner_left"]
+    feet = skin.state(taro.tissue.parameters).feet(corner[None])
     assert REGIONS[skin.region[feet.elements[0]]] == "corners"
 
 
 # --- alignment
 
 
-def test_unknown_pose_and_unit_are_recovered(skin, head):
+def test_unknown_pose_and_unit_are_recovered(skin, taro):
     rng = np.random.default_rng(3)
-    surface = skin.surface(head.tissue.parameters)
+    surface = skin.surface(taro.tissue.parameters)
     noisy = surface.vertices + 0.3 * rng.standard_normal((len(surface.vertices), 3))
     turn = Rotation.random(rng=rng).as_matrix()
     moved = (noisy @ turn.T + [300.0, -80.0, 1000.0]) / 1000.0
-    scan = scan_of(Surface(moved, surface.faces, "metres"))
+    scan = Scan.of(Surface(moved, surface.faces, "metres"))
     placed, _, alignment = place(scan, skin)
     error = np.linalg.norm(placed.points - noisy, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.25
@@ -228,12 +213,12 @@ def test_unknown_pose_and_unit_are_recovered(skin, head):
     assert alignment.scatter_mm < 1.0
 
 
-def test_a_raised_forehead_does_not_move_a_pose_that_is_known(skin, head):
-    surface = skin.surface(head.tissue.parameters)
-    feet = skin.state(head.tissue.parameters).feet(surface.vertices)
+def test_a_raised_forehead_does_not_move_a_pose_that_is_known(skin, taro):
+    surface = skin.surface(taro.tissue.parameters)
+    feet = skin.state(taro.tissue.parameters).feet(surface.vertices)
     height = 1.5 * (skin.zones(feet) == 0)
     raised = surface.vertices + height[:, None] * surface.vertex_normals
-    neutral, scan = scan_of(surface), scan_of(Surface(raised, surface.faces, "raised"))
+    neutral, scan = Scan.of(surface), Scan.of(Surface(raised, surface.faces, "raised"))
     known = Registration(1.0, np.eye(3), np.zeros(3))
     found = align_to_neutral(scan, neutral, skin, known)
     assert found.pose is known
@@ -241,47 +226,47 @@ def test_a_raised_forehead_does_not_move_a_pose_that_is_known(skin, head):
     # The forehead that moved is no reason to leave a head unturned.
     turn = Rotation.from_euler("x", 4.0, degrees=True).as_matrix()
     turned = align_to_neutral(
-        scan_of(Surface(raised @ turn.T, surface.faces, "turned")), neutral, skin, known
+        Scan.of(Surface(raised @ turn.T, surface.faces, "turned")), neutral, skin, known
     )
     assert Rotation.from_matrix(turned.pose.rotation @ turn).magnitude() < np.radians(1.0)
 
 
-def test_landmarks_align_too_and_are_checked(skin, head, tmp_path):
-    surface = skin.surface(head.tissue.parameters)
+def test_landmarks_align_too_and_are_checked(skin, taro, tmp_path):
+    surface = skin.surface(taro.tissue.parameters)
     turn = Rotation.from_euler("xyz", [170.0, 20.0, 130.0], degrees=True).as_matrix()
-    scan = scan_of(Surface(surface.vertices @ turn.T, surface.faces, "turned"))
+    scan = Scan.of(Surface(surface.vertices @ turn.T, surface.faces, "turned"))
     path = tmp_path / "landmarks.csv"
     names = ["mouth_corner_left", "mouth_corner_right", "chin", "inner_brow_left", "ala_left"]
     rows = ["name, x, y, z, by"]
     for name in names:
-        point = turn @ head.landmark_points()[name]
+        point = turn @ taro.landmark_points()[name]
         rows.append(f"{name}, {point[0]}, {point[1]}, {point[2]}, hand")
     path.write_text("\n".join(rows) + "\n")
-    placed, _, _ = place(scan, skin, landmarks=read_landmarks(path, head))
+    placed, _, _ = place(scan, skin, landmarks=read_landmarks(path, taro))
     assert np.linalg.norm(placed.points - surface.vertices, axis=1).max() < 0.2
     path.write_text("\n".join(rows[:3]) + "\n")
     with pytest.raises(InputError) as error:
-        read_landmarks(path, head)
+        read_landmarks(path, taro)
     assert_one_line(error, "at least three")
     path.write_text(rows[0] + "\nchin, 1, two, 3, hand\n")
     with pytest.raises(InputError) as error:
-        read_landmarks(path, head)
+        read_landmarks(path, taro)
     assert_one_line(error, "line 2")
 
 
-def test_what_is_no_face_is_refused(skin, head):
-    surface = skin.surface(head.tissue.parameters)
-    points = np.array(list(head.landmark_points().values()))
+def test_what_is_no_face_is_refused(skin, taro):
+    surface = skin.surface(taro.tissue.parameters)
+    points = np.array(list(taro.landmark_points().values()))
     known = (points, points)
     mirrored = Surface(surface.vertices * [-1.0, 1.0, 1.0], surface.faces, "mirrored.ply")
     with pytest.raises(InputError) as error:
-        register_scan(scan_of(mirrored, "mirrored.ply"), skin)
+        register_scan(Scan.of(mirrored), skin)
     assert_one_line(error, "mirror")
 
     # Whoever says centimetres of a scan in millimetres has a giant.
     with pytest.raises(InputError) as error:
-        register_scan(scan_of(surface, "large.ply"), skin, unit="cm", landmarks=known)
-    assert_one_line(error, "large.ply", "wrong unit", "seems to be in mm")
+        register_scan(Scan.of(surface), skin, unit="cm", landmarks=known)
+    assert_one_line(error, surface.name, "wrong unit", "seems to be in mm")
 
     # A rough sheet of paper.
     ticks = np.linspace(0.0, 200.0, 60)
@@ -296,7 +281,7 @@ def test_what_is_no_face_is_refused(skin, head):
     )
     sheet = Surface(np.column_stack([x, y, z]), faces, "sheet.ply")
     with pytest.raises(InputError) as error:
-        register_scan(scan_of(sheet, "sheet.ply"), skin)
+        register_scan(Scan.of(sheet), skin)
     assert_one_line(error, "sheet.ply", "no face")
 
 
@@ -311,13 +296,13 @@ def test_figures_weigh_by_area():
     assert figures(np.zeros(0), np.zeros(0)).as_dict()["rms_mm"] is None
 
 
-def test_a_known_displacement_gives_its_own_figures(skin, head):
-    rest = head.tissue.parameters
+def test_a_known_displacement_gives_its_own_figures(skin, taro):
+    rest = taro.tissue.parameters
     moved = rest.copy()
     # Two millimetres forward everywhere.
-    moved[:, 1] -= 2.0 * head.both.ones
-    neutral = scan_of(skin.surface(rest))
-    scan = scan_of(skin.surface(moved))
+    moved[:, 1] -= 2.0 * taro.both.ones
+    neutral = Scan.of(skin.surface(rest))
+    scan = Scan.of(skin.surface(moved))
     right = compare(skin, moved, scan, neutral)
     assert right.distances.error[right.distances.covered].max() < 1e-6
     assert right.matched.explained == pytest.approx(1.0, abs=1e-6)
@@ -330,20 +315,20 @@ def test_a_known_displacement_gives_its_own_figures(skin, head):
     # Along the normal, two millimetres forward are less wherever the face turns away.
     assert 1.0 < wrong.distances.of(wrong.distances.error, everywhere).rms < 2.0
     half = rest.copy()
-    half[:, 1] -= head.both.ones
+    half[:, 1] -= taro.both.ones
     assert compare(skin, half, scan, neutral).matched.explained == pytest.approx(0.5)
     report = json.loads(json.dumps(right.as_dict(), allow_nan=False))
     assert {"nose", "chin", "cheek", "corners"} <= set(report["regions"])
     assert 0.8 < report["coverage"] <= 1.0
 
 
-def test_without_a_common_order_distances_still_tell(skin, head):
-    rest = head.tissue.parameters
+def test_without_a_common_order_distances_still_tell(skin, taro):
+    rest = taro.tissue.parameters
     moved = rest.copy()
-    moved[:, 1] -= 2.0 * head.both.ones
-    scan = scan_of(skin.surface(moved))
+    moved[:, 1] -= 2.0 * taro.both.ones
+    scan = Scan.of(skin.surface(moved))
     coarse = Surface(skin.surface(rest).vertices, skin.surface(rest).faces[::-1], "other")
-    found = compare(skin, moved, scan, scan_of(coarse))
+    found = compare(skin, moved, scan, Scan.of(coarse))
     assert found.matched is None
     assert found.distances.explained > 0.99
 
@@ -351,20 +336,20 @@ def test_without_a_common_order_distances_still_tell(skin, head):
 # --- states
 
 
-def test_a_state_is_kept_exactly_and_knows_its_head(head, tmp_path):
-    moved = head.tissue.parameters + 0.125
+def test_a_state_is_kept_exactly_and_knows_its_head(taro, tmp_path):
+    moved = taro.tissue.parameters + 0.125
     save_state(
-        tmp_path / STATE_FILE, "x", head, "taro", moved, np.zeros(8), {"mentalis": 0.25}, 0.1
+        tmp_path / STATE_FILE, "x", taro, "taro", moved, np.zeros(8), {"mentalis": 0.25}, 0.1
     )
     found = load_result(tmp_path)
     assert np.array_equal(found.parameters, moved)
     assert (found.expression, found.activations, found.jaw) == ("x", {"mentalis": 0.25}, 0.1)
 
-    whole = head.both.whole(moved)
-    save_state(tmp_path / STATE_FILE, "x", head, "taro", whole, np.zeros(8), {}, 0.0)
+    whole = taro.both.whole(moved)
+    save_state(tmp_path / STATE_FILE, "x", taro, "taro", whole, np.zeros(8), {}, 0.0)
     assert np.array_equal(load_result(tmp_path).parameters, whole)
 
-    save_state(tmp_path / STATE_FILE, "x", head, "taro", moved[:-1], np.zeros(8), {}, 0.0)
+    save_state(tmp_path / STATE_FILE, "x", taro, "taro", moved[:-1], np.zeros(8), {}, 0.0)
     with pytest.raises(InputError) as error:
         load_result(tmp_path)
     assert_one_line(error, "changed")
@@ -373,7 +358,7 @@ def test_a_state_is_kept_exactly_and_knows_its_head(head, tmp_path):
         ("mentalus", {"mentalus": 0.5}, 0.0),
         ("jaw", {}, 99.0),
     ]:
-        save_state(tmp_path / STATE_FILE, "x", head, "taro", moved, np.zeros(8), activations, jaw)
+        save_state(tmp_path / STATE_FILE, "x", taro, "taro", moved, np.zeros(8), activations, jaw)
         with pytest.raises(InputError) as error:
             load_result(tmp_path)
         assert_one_line(error, fault)
@@ -433,12 +418,12 @@ def run(capsys, *arguments):
     return left.value.code, printed.out, printed.err
 
 
-def test_compare_writes_page_picture_and_report(capsys, head, skin, tmp_path):
-    rest = head.tissue.parameters
+def test_compare_writes_page_picture_and_report(capsys, taro, skin, tmp_path):
+    rest = taro.tissue.parameters
     moved = rest.copy()
-    moved[:, 1] -= 2.0 * head.both.ones
+    moved[:, 1] -= 2.0 * taro.both.ones
     (tmp_path / "result").mkdir()
-    save_state(tmp_path / "result" / STATE_FILE, "x", head, "taro", moved, np.zeros(8), {}, 0.0)
+    save_state(tmp_path / "result" / STATE_FILE, "x", taro, "taro", moved, np.zeros(8), {}, 0.0)
     write_ply(tmp_path / "scan.ply", skin.surface(moved))
     write_ply(tmp_path / "neutral.ply", skin.surface(rest))
     code, out, error = run(
@@ -455,9 +440,9 @@ def test_compare_writes_page_picture_and_report(capsys, head, skin, tmp_path):
     assert page.count("data:image/png;base64,") == 1
 
 
-def test_commands_refuse_in_one_line(capsys, tmp_path, head):
+def test_commands_refuse_in_one_line(capsys, tmp_path, taro):
     save_state(
-        tmp_path / STATE_FILE, "x", head, "taro", head.tissue.parameters, np.zeros(8), {}, 0.0
+        tmp_path / STATE_FILE, "x", taro, "taro", taro.tissue.parameters, np.zeros(8), {}, 0.0
     )
     (tmp_path / "single.xyz").write_text("0 0 0\n")
     for arguments, word in [

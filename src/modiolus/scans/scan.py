@@ -59,6 +59,11 @@ class Scan:
     surface: Surface
     cloud: bool = False
 
+    @classmethod
+    def of(cls, surface: Surface) -> Scan:
+        """Return the scan that a surface is, with its name."""
+        return cls(surface.name, surface.vertices, surface.vertex_normals, surface)
+
     @cached_property
     def weights(self) -> Array:
         """Area that each point stands for, (n,); the same everywhere in a cloud.
@@ -226,7 +231,7 @@ def read_scan(path: str | Path) -> Scan:
     _check(path, surface.vertices)
     surface = _tidied(surface, path.name)
     _check(path, surface.vertices)
-    return Scan(path.name, surface.vertices, surface.vertex_normals, surface)
+    return Scan.of(surface)
 
 
 def _check(path: Path, points: Array) -> None:
