@@ -23,8 +23,8 @@ import numpy as np
 
 from modiolus.anatomy import Surface
 from modiolus.errors import InputError, SolveError
+from modiolus.face.gates import gates
 from modiolus.face.head import Head
-from modiolus.face.morph import gates
 from modiolus.face.subject import Structures, build_subject
 
 #: Height (mm) of what is kept of a body below its crown.

@@ -1,27 +1,24 @@
 """Morphing a head to the surface of another face."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import pyvista
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from modiolus.anatomy import Surface, read_surface
 from modiolus.cli import _run
 from modiolus.errors import InputError
+from modiolus.face.aligned import align, skin_surface
+from modiolus.face.gates import gates, quality_text, thickness
 from modiolus.face.head import Head, head_names
 from modiolus.face.landmarks import read_landmarks
 from modiolus.face.margins import find_margins
-from modiolus.face.morph import (
-    align,
-    closed_surface,
-    gates,
-    quality_text,
-    skin_surface,
-    thickness,
-)
 from modiolus.face.subject import Structures, build_subject
 from modiolus.hermite import symmetry_plane
 
@@ -69,6 +66,7 @@ def test_a_known_warp_is_recovered(morphed: tuple[Head, dict, np.ndarray]) -> No
     head, quality, there = morphed
     assert quality["scan_rms_mm"] < 0.25
     assert quality["scan_covered"] > 0.9
+    assert quality["unit"] == "m"
     assert all(gate.passed for gate in gates(quality)), quality_text(quality)
     # The morph tilts the face as it likes, but its width stays what it is.
     width = np.ptp(skin_surface(head).vertices[:, 0])
@@ -112,7 +110,7 @@ def test_the_eyeball_stays_a_ball_of_its_size(
 ) -> None:
     sizes = []
     for head in (taro, morphed[0]):
-        points = closed_surface(head.deep["eyeball"].distance).vertices
+        points = head.deep["eyeball"].distance.surface(closed=True).vertices
         sizes.append(np.ptp(points, axis=0))
     np.testing.assert_allclose(sizes[1], sizes[0], atol=0.2)
 
@@ -188,12 +186,52 @@ def test_the_pose_of_ict_is_the_same_with_its_landmarks(taro: Head) -> None:
 
 @needs_ict
 @pytest.mark.slow
-def test_morph_to_ict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_morph_to_ict_in_metres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scan = read_surface(ICT / "neutral.ply")
+    path = tmp_path / "metres.ply"
+    pyvista.PolyData.from_regular_faces(scan.vertices / 1000.0, scan.faces).save(path)
     out = tmp_path / "ict"
-    scan = str(ICT / "neutral.ply")
-    assert _run(["morph", "taro", "--to", scan, "--out", str(out), "--json", "--quiet"]) == 0
+    assert _run(["morph", "taro", "--to", str(path), "--out", str(out), "--json", "--quiet"]) == 0
     record = json.loads(capsys.readouterr().out)
+    assert record["quality"]["unit"] == "m"
+    assert record["quality"]["size"] == pytest.approx(1.104, abs=0.02)
     assert record["quality"]["scan_rms_mm"] <= 0.5
     assert all(gate["passed"] for gate in record["gates"])
     assert json.loads((out / "report.json").read_text()) == record
     assert Head.load(out).name == "ict"
+
+
+def turned(scan: Surface) -> Surface:
+    """Upside down."""
+    return Surface(scan.vertices * [-1.0, -1.0, 1.0], scan.faces, "turned")
+
+
+def noisy(scan: Surface) -> Surface:
+    """With 0.3 mm of noise on every vertex."""
+    noise = np.random.default_rng(0).normal(0.0, 0.3, scan.vertices.shape)
+    return Surface(scan.vertices + noise, scan.faces, "noisy")
+
+
+def holed(scan: Surface) -> Surface:
+    """With twelve holes of 16 mm across the front."""
+    rng = np.random.default_rng(0)
+    front = scan.vertices[scan.vertices[:, 2] > np.quantile(scan.vertices[:, 2], 0.6)]
+    away = cKDTree(rng.choice(front, 12)).query(scan.vertices)[0]
+    return scan.picked(scan.faces[(away > 8.0)[scan.faces].all(axis=1)])
+
+
+def halved(scan: Surface) -> Surface:
+    """Without its right side."""
+    return scan.picked(scan.faces[(scan.vertices[:, 0] > 0.0)[scan.faces].all(axis=1)])
+
+
+@needs_ict
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [turned, noisy, holed, halved])
+def test_a_scan_with_a_fault_passes(fault: Callable[[Surface], Surface]) -> None:
+    head = Head.load("taro")
+    head = replace(head, deep={"eyeball": head.deep["eyeball"]})
+    scan = fault(read_surface(ICT / "neutral.ply"))
+    _, quality = build_subject(head, Structures(scan))
+    assert quality["unit"] == "mm"
+    assert all(gate.passed for gate in gates(quality)), quality_text(quality)

@@ -12,7 +12,6 @@ from modiolus.anatomy import Surface
 from modiolus.cli import _run
 from modiolus.errors import InputError
 from modiolus.face.head import Head
-from modiolus.face.morph import closed_surface
 from modiolus.face.muscles import least_jacobian, outer_surface
 from modiolus.face.provenance import provenance_lines
 from modiolus.face.subject import (
@@ -88,7 +87,7 @@ def test_a_muscle_is_fitted_to_its_surface(taro: Head, name: str) -> None:
 
 def test_the_tissue_is_laid_on_given_bones(block_head: Head) -> None:
     bones = {
-        name: moved(closed_surface(item.distance), 0.0, -0.8, 0.0)
+        name: moved(item.distance.surface(closed=True), 0.0, -0.8, 0.0)
         for name, item in block_head.deep.items()
     }
     laid, rms = lay_on(block_head, block_head.tissue, bones, 1.0)

@@ -207,21 +207,27 @@ class DistanceGrid:
         _sample(self.values, self.origin, self.spacing, QUANTUM, queries, *sample)
         return sample
 
-    def surface(self, level: float = 0.0) -> Surface:
+    def surface(self, level: float = 0.0, closed: bool = False) -> Surface:
         """Triangulate where the distance has a given value.
 
         Parameters
         ----------
         level : float
             Distance (mm).
+        closed : bool
+            Whether the surface is closed where the grid cuts it off.
         """
         import pyvista as pv
 
+        rim = 2 if closed else 0
+        values = np.pad(self.values, rim, constant_values=np.int8(127))
         grid = pv.ImageData(
-            dimensions=self.values.shape, spacing=(self.spacing,) * 3, origin=self.origin
+            dimensions=values.shape,
+            spacing=(self.spacing,) * 3,
+            origin=self.origin - rim * self.spacing,
         )
         # The stored distances are spline coefficients: what is drawn is the field that is sampled.
-        smooth = QUANTUM * self.values.astype(np.float64)
+        smooth = QUANTUM * values.astype(np.float64)
         for axis in range(3):
             smooth = _smoothed(smooth, axis)
         grid["distance"] = smooth.ravel(order="F")

@@ -135,6 +135,12 @@ class Surface:
         lengths = np.linalg.norm(out, axis=1, keepdims=True)
         return np.asarray(out / np.where(lengths > 0.0, lengths, 1.0))
 
+    @cached_property
+    def vertex_areas(self) -> np.ndarray:
+        """(n,) area (mm²) that every vertex stands for: a third of that of its triangles."""
+        shared = np.repeat(self.areas / 3.0, 3)
+        return np.bincount(self.faces.ravel(), shared, minlength=len(self.vertices))
+
     @property
     def area(self) -> float:
         """Total area (mm²)."""

@@ -135,7 +135,7 @@ def finish(
     SolveError
         A gate is failed.
     """
-    from modiolus.face.morph import gates, quality_text
+    from modiolus.face.gates import gates, quality_text
 
     failed = [gate for gate in gates(quality) if not gate.passed]
     if failed:
@@ -143,8 +143,8 @@ def finish(
             sys.stderr.write(quality_text(quality) + "\n")
         faults = ", ".join(f"{gate.name} is {gate.value:g}" for gate in failed)
         raise SolveError(
-            f"{origin.source}: the head is not sound ({faults}); nothing was written; give "
-            "landmarks, or a scan that shows more of the face"
+            f"{origin.source}, taken as in {quality['unit']}: the head is not sound ({faults}); "
+            "nothing was written; give landmarks, or a scan that shows more of the face"
         )
     about = dict(source.about)
     about["subject"] = origin.subject
@@ -189,11 +189,14 @@ def _holders(notice: str) -> str:
 
 def account(record: Mapping[str, Any], made: Head, out: Path) -> str:
     """Return the figures of a head and what of it was given, for a person to read."""
-    from modiolus.face.morph import quality_text
+    from modiolus.face.gates import quality_text
     from modiolus.face.provenance import provenance_lines
 
+    quality = record["quality"]
     lines = "\n".join(provenance_lines(made.about))
     return (
-        f"{quality_text(record['quality'])}\n\n{lines}\n\nHead: {out}\n"
+        f"The surface is in {quality['unit']}, as its size tells; its face is "
+        f"{quality['size']:.2f} times as large as that of {record['morphed_from']}.\n\n"
+        f"{quality_text(quality)}\n\n{lines}\n\nHead: {out}\n"
         f"Use it with: modiolus simulate smile-closed --head {out}"
     )

@@ -23,7 +23,6 @@ from ..hermite import HermiteMesh
 from ..hermite.tessellate import tessellate
 from .embed import boundary_surface
 from .head import Head
-from .morph import closed_surface
 
 __all__ = ["Phantom", "simulated_t1", "skin_error"]
 
@@ -202,7 +201,7 @@ def _share(surface: Surface, image: Image, box: tuple[slice, ...]) -> Array:
 
 def _filled(head: Head, tissue: Surface, image: Image) -> Array:
     """Return how much of each voxel is behind the front of tissue and eyeball."""
-    eye = closed_surface(head.deep["eyeball"].distance) if "eyeball" in head.deep else tissue
+    eye = head.deep["eyeball"].distance.surface(closed=True) if "eyeball" in head.deep else tissue
     front = Surface.joined([tissue, eye])
     spacing = float(image.spacing[0])
     nx, ny, nz = image.values.shape

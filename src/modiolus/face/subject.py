@@ -23,16 +23,12 @@ from ..fitting import PointTarget, Smoothing
 from ..hermite import HermiteMesh, symmetry_plane
 from ..hermite.basis import Array
 from ..progress import Report
+from .aligned import Aligned, align
+from .deform import unfolded
 from .embed import bring_inside, insertions, muscle_fraction, origins
+from .gates import morph_quality, neck_height
 from .head import Head, RigidSurface
-from .morph import (
-    Aligned,
-    align,
-    carried_head,
-    morph_quality,
-    neck_height,
-    unfolded,
-)
+from .morph import carried_head
 from .moved import moved_head
 from .muscle import Muscle
 from .muscles import least_jacobian, outer_faces, outer_surface
@@ -149,7 +145,7 @@ def build_subject(
     head : Head
         In the frame of the old one and in the subject's size, with ``about["provenance"]``.
     quality : dict
-        Figures of the fit as from `modiolus.face.morph.morph_quality`; ``given_rms_mm`` has the
+        Figures of the fit as from `modiolus.face.gates.morph_quality`; ``given_rms_mm`` has the
         distance between each given muscle and its surface, both ways, and ``bone_rms_mm`` how far
         the inner surface is from where it should rest on given bones.
 

@@ -384,6 +384,11 @@ def _score(pose: Registration, moving: Matcher, fixed: Matcher, weights: Array) 
     return float(np.mean(weights * np.where(shown, cost, 0.5 * _FAR)))
 
 
+def unit_name(millimetres: float) -> str:
+    """Return the name of a unit of length, from `UNITS`."""
+    return next(name for name, value in UNITS.items() if value == millimetres)
+
+
 def guess_unit(surface: Surface, target: Surface) -> float:
     """Return the millimetres of a surface's unit that make its size most like the target's."""
     size, wanted = (float(np.linalg.norm(np.ptp(s.bounds, axis=0))) for s in (surface, target))

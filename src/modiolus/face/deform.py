@@ -1,0 +1,300 @@
+"""The tissue of a head, deformed until its skin lies on the surface of another face.
+
+First a box of tricubic Hermite elements around the head is deformed, then the tissue itself is
+fitted. The inner surface follows the outer one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fitting import PointTarget, Smoothing, fit
+from ..fitting.register import Matcher
+from ..hermite import HermiteMesh, grid, symmetry_plane
+from ..hermite.basis import Array
+from .head import Head
+from .margins import Margins
+
+Map = Callable[[Array], Array]
+
+#: Elements of the host box: lateral, backward, up; its room around the head (mm).
+HOST, _ROOM = (4, 4, 8), 6.0
+#: Weights of the host's second derivatives, from stiff to soft; one step each.
+_HOST_SMOOTHING = (3e3, 3e3, 1e3, 1e3, 3e2, 3e2, 1e2, 1e2, 30.0, 30.0)
+#: Weights of the first and second derivatives in the fit of the skin itself; one step each.
+_SKIN_SMOOTHING = ((1e-1, 1.0), (3e-2, 0.3), (1e-2, 0.1), (3e-3, 3e-2), (1e-3, 1e-2), (1e-3, 1e-2))
+#: Weight of the change of the derivatives through the tissue: the inner surface follows.
+_THROUGH = 1.0
+#: An element folds when its volume falls below this share somewhere, or its scaled Jacobian below
+#: a share of what it was, or below a value when that is less.
+_CRUSHED, _BENT = 0.3, (0.5, 0.3)
+#: By how much it is then made stiffer, and how often at most in one step.
+_STIFFER, _TRIES = 10.0, 15
+#: Weight of a point of a margin relative to one of the skin.
+_MARGIN_WEIGHT = 8.0
+#: Weight of a point of the cuts at neck and scalp, which keep their height.
+_CUT_WEIGHT = 0.3
+#: Farthest match (mm) in the first and in the last step.
+_REACH = (20.0, 3.0)
+#: Least cosine between the normals of matched points.
+_ALIGNED = 0.5
+
+
+def spread(mesh: HermiteMesh, count: int = 4) -> tuple[NDArray[np.int64], Array]:
+    """Return points spread over all elements of a volume mesh, their borders included."""
+    ticks = np.linspace(0.0, 1.0, count)
+    cell = np.stack(np.meshgrid(*[ticks] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.repeat(np.arange(mesh.n_elements), len(cell)), np.tile(cell, (mesh.n_elements, 1))
+
+
+@dataclass(frozen=True)
+class Host:
+    """A box of tricubic elements whose deformation carries what is in it."""
+
+    low: Array
+    spacing: Array
+    counts: tuple[int, int, int]
+    mesh: HermiteMesh
+    plane: float
+
+    @classmethod
+    def around(cls, head: Head, grown: Map) -> Host:
+        """Make the box of a head that has grown; undeformed."""
+        points = [head.tissue.evaluate(*spread(head.tissue, 2))]
+        points += [muscle.bounds() for muscle in head.muscles.values()]
+        points += [item.distance.bounds for item in head.deep.values()]
+        cloud = grown(np.vstack(points))
+        low, high = cloud.min(axis=0) - _ROOM, cloud.max(axis=0) + _ROOM
+        low[0] = head.midplane
+        ticks = [np.linspace(low[k], high[k], HOST[k] + 1) for k in range(3)]
+        mesh = grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+        return cls(low, (high - low) / HOST, HOST, mesh, head.midplane)
+
+    def places(self, points: Array) -> tuple[NDArray[np.int64], Array, Array]:
+        """Return element, local coordinates and side (1 left, -1 right) of points at rest."""
+        side = np.where(points[:, 0] < self.plane, -1.0, 1.0)
+        folded = points.copy()
+        folded[:, 0] = self.plane + side * (points[:, 0] - self.plane)
+        place = (folded - self.low) / self.spacing
+        cell = np.clip(np.floor(place).astype(np.int64), 0, np.array(self.counts) - 1)
+        element = cell[:, 0] + self.counts[0] * (cell[:, 1] + self.counts[1] * cell[:, 2])
+        # Just outside the box the cubics go on; far outside they would run away.
+        return element, np.clip(place - cell, -0.2, 1.2), side
+
+    def __call__(self, points: Array) -> Array:
+        """Return where points (n, 3) go."""
+        element, xi, side = self.places(points)
+        moved = self.mesh.evaluate(element, xi)
+        moved[:, 0] = self.plane + side * (moved[:, 0] - self.plane)
+        return moved
+
+
+@dataclass(frozen=True)
+class SkinPlaces:
+    """Sample points of the outer surface and of the margins of lips and lids."""
+
+    elements: NDArray[np.int64]
+    xi: Array
+    margins: dict[str, tuple[NDArray[np.int64], Array]]
+    cuts: PointTarget
+
+    @classmethod
+    def of(cls, head: Head, samples: int = 5) -> SkinPlaces:
+        """Take the samples of a head, with so many a direction in every element."""
+        elements, axis, side = head.sides["outer"]
+        face = head.tissue.face(elements, axis, side)
+        local, xi, _ = face.gauss_points(samples)
+        margins = {}
+        for name in ("lip_upper", "lip_lower", "lid_upper", "lid_lower"):
+            cells, along, end = head.sides[name]
+            ticks = np.linspace(0.0, 1.0, 5)
+            place = np.zeros((len(ticks), 3))
+            place[:, 0], place[:, along], place[:, axis] = ticks, end, side
+            margins[name] = (np.repeat(cells, len(ticks)), np.tile(place, (len(cells), 1)))
+        parts = []
+        for name in ("neck", "scalp"):
+            cells, along, end = head.sides[name]
+            rule = head.tissue.face(cells, along, end).gauss_points(3)
+            parts.append((cells[rule[0]], np.insert(rule[1], along, float(end), axis=1)))
+        cells, places = (np.concatenate(part) for part in zip(*parts, strict=True))
+        rest = head.tissue.evaluate(cells, places)
+        up = np.tile([0.0, 0.0, 1.0], (len(rest), 1))
+        cuts = PointTarget("cuts", cells, places, rest, _CUT_WEIGHT, up)
+        return cls(elements[local], np.insert(xi, axis, float(side), axis=1), margins, cuts)
+
+
+def margin_targets(skin: SkinPlaces, mesh: HermiteMesh, margins: Margins) -> list[PointTarget]:
+    """Return the margins of lips and lids with the points of the scan that they belong to.
+
+    A margin is matched by its share of the way across: from the mid-plane to the corner of the
+    mouth, and from corner to corner of the eye.
+    """
+    out = []
+    lines = {
+        "lip_upper": margins.lips,
+        "lip_lower": margins.lips,
+        "lid_upper": margins.lid_upper,
+        "lid_lower": margins.lid_lower,
+    }
+    for name, line in lines.items():
+        if line is None:
+            continue
+        elements, xi = skin.margins[name]
+        own = mesh.evaluate(elements, xi)[:, 0]
+        share = (own - own.min()) / (own.max() - own.min())
+        x = line[0, 0] + share * (line[-1, 0] - line[0, 0])
+        points = np.column_stack([np.interp(x, line[:, 0], line[:, k]) for k in range(3)])
+        out.append(PointTarget(name, elements, xi, points, _MARGIN_WEIGHT))
+    return out
+
+
+def matches(
+    scans: Iterable[Matcher], points: Array, normals: Array, reach: float
+) -> list[tuple[NDArray[np.bool_], Array]]:
+    """Match points, with the normals there, with each of some surfaces: which, and where."""
+    out = []
+    for scan in scans:
+        there, facing, good = scan.matches(points, reach)
+        out.append((good & (np.einsum("ni,ni->n", facing, normals) > _ALIGNED), there))
+    return out
+
+
+def _skin_targets(
+    elements: NDArray[np.int64],
+    xi: Array,
+    normals: Array,
+    found: list[tuple[NDArray[np.bool_], Array]],
+    sliding: float,
+) -> list[PointTarget]:
+    """Return where places of the skin should lie; they may slide across their own normals.
+
+    The normals of a scan are not used: on its steps and noise they point anywhere, and a place
+    would be pushed along the skin.
+    """
+    seen = np.maximum(np.sum([good for good, _ in found], axis=0), 1)
+    return [
+        PointTarget(
+            "skin", elements[good], xi[good], there[good], 1.0 / seen[good], normals[good], sliding
+        )
+        for good, there in found
+        if good.any()
+    ]
+
+
+def outer_normals(head: Head, mesh: HermiteMesh, skin: SkinPlaces) -> Array:
+    """Return the normals (n, 3) of the outer surface of a mesh of the head at places of it."""
+    _, axis, _ = head.sides["outer"]
+    tangents = mesh.jacobian(skin.elements, skin.xi)
+    first, second = (k for k in range(3) if k != axis)
+    normal = np.cross(tangents[:, :, first], tangents[:, :, second])
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _reaches(count: int) -> Array:
+    return np.geomspace(*_REACH, count)
+
+
+def deformed(
+    head: Head, host: Host, skin: SkinPlaces, scans: list[Matcher], margins: Margins
+) -> Host:
+    """Deform the host until the skin of the head lies on the scan."""
+    held = symmetry_plane(
+        host.mesh, np.flatnonzero(np.arange(host.mesh.n_elements) % HOST[0] == 0), 0, 0
+    )
+    rest = head.tissue.evaluate(skin.elements, skin.xi)
+    cells, places, _ = host.places(rest)
+    edges = margin_targets(skin, head.tissue, margins)
+    # The box keeps what it has come to in one step as the rest of the next one only in part:
+    # smoothing always counts from the undeformed box.
+    box = host.mesh
+    for weight, reach in zip(_HOST_SMOOTHING, _reaches(len(_HOST_SMOOTHING)), strict=True):
+        moved = host(rest)
+        normals = _moved_normals(head, host, skin)
+        found = matches(scans, moved, normals, reach)
+        targets = _skin_targets(cells, places, normals, found, 0.1)
+        for edge in [*edges, skin.cuts]:
+            element, xi, _ = host.places(head.tissue.evaluate(edge.elements, edge.xi))
+            targets.append(replace(edge, elements=element, xi=xi))
+        smoothing = Smoothing(first=0.0, second=weight, relative=True)
+        mesh = fit(box, targets, smoothing, held, iterations=1).mesh
+        host = replace(host, mesh=mesh)
+    return host
+
+
+def _moved_normals(head: Head, host: Host, skin: SkinPlaces) -> Array:
+    """Return the normals of the outer surface after the host's deformation."""
+    _, axis, _ = head.sides["outer"]
+    first, second = (k for k in range(3) if k != axis)
+    jacobian = head.tissue.jacobian(skin.elements, skin.xi)
+    points = head.tissue.evaluate(skin.elements, skin.xi)
+    steps = (1e-3 * jacobian[:, :, first], 1e-3 * jacobian[:, :, second])
+    along, across = (host(points + step) - host(points - step) for step in steps)
+    normal = np.cross(along, across)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def fitted(
+    head: Head,
+    start: HermiteMesh,
+    skin: SkinPlaces,
+    scans: list[Matcher],
+    margins: list[PointTarget],
+) -> HermiteMesh:
+    """Fit the outer surface of a deformed head to the scan; the tissue below follows it.
+
+    Elements that would fold, where a scan is faulty or the closest point is not the right one,
+    are made stiffer until they do not.
+    """
+    held = symmetry_plane(head.tissue, *head.sides["midplane"])
+    mesh = start
+    stiffness = np.ones(start.n_elements)
+    for (first, second), reach in zip(_SKIN_SMOOTHING, _reaches(len(_SKIN_SMOOTHING)), strict=True):
+        points = mesh.evaluate(skin.elements, skin.xi)
+        normals = outer_normals(head, mesh, skin)
+        found = matches(scans, points, normals, min(reach, 8.0))
+        targets = _skin_targets(skin.elements, skin.xi, normals, found, 0.0)
+        smoothing = Smoothing(
+            first=(first, first, _THROUGH),
+            second=(second, second, _THROUGH, second, _THROUGH, _THROUGH),
+            relative=True,
+            stiffness=stiffness,
+        )
+        mesh, stiffness = unfolded(start, [*targets, *margins, skin.cuts], smoothing, held)
+    return mesh
+
+
+def unfolded(
+    start: HermiteMesh,
+    targets: list[PointTarget],
+    smoothing: Smoothing,
+    held: NDArray[np.bool_] | None = None,
+) -> tuple[HermiteMesh, Array]:
+    """Fit a mesh, with elements that would fold made stiffer; return it and the stiffness."""
+    stiffness = np.broadcast_to(smoothing.stiffness, start.n_elements)
+    shape = _volumes(start)
+    for _ in range(_TRIES):
+        smoothing = replace(smoothing, stiffness=stiffness)
+        mesh = fit(start, targets, smoothing, held, iterations=1).mesh
+        folding = _folding(shape, _volumes(mesh))
+        if not folding.any():
+            break
+        stiffness = np.where(folding, _STIFFER * stiffness, stiffness)
+    return mesh, stiffness
+
+
+def _volumes(mesh: HermiteMesh) -> tuple[Array, Array]:
+    """Return the Jacobian (n_elements, 125) in every element, and the least scaled one of each."""
+    tangents = mesh.jacobian(*spread(mesh, 5))
+    jacobian = np.linalg.det(tangents).reshape(mesh.n_elements, -1)
+    lengths = np.linalg.norm(tangents, axis=1).prod(axis=1).reshape(mesh.n_elements, -1)
+    return jacobian, (jacobian / lengths).min(axis=1)
+
+
+def _folding(old: tuple[Array, Array], new: tuple[Array, Array]) -> NDArray[np.bool_]:
+    """Return which elements (n_elements,) have lost too much of their volume or shape."""
+    crushed = (new[0] < _CRUSHED * old[0]).any(axis=1)
+    return np.asarray(crushed | (new[1] < np.minimum(_BENT[0] * old[1], _BENT[1])))
