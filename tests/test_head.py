@@ -5,6 +5,7 @@ import itertools
 import os
 import shutil
 import zipfile
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from modiolus.anatomy import BodyParts3D
 from modiolus.cli import main
 from modiolus.errors import InputError
-from modiolus.face.build import skin_error
+from modiolus.face.build import build_head, skin_error
+from modiolus.face.differences import differences
 from modiolus.face.embed import bring_inside, inside_fraction
 from modiolus.face.head import Head, head_names
 from modiolus.face.muscle import Muscle
@@ -94,6 +96,49 @@ def test_taro_fits_the_skin_as_well_as_it_says(taro):
     quality = taro.about["quality"]
     assert_allclose(np.sqrt(np.mean(error**2)), quality["skin_rms_mm"], atol=2e-3)
     assert_allclose(np.percentile(error, 95), quality["skin_p95_mm"], atol=2e-3)
+
+
+@needs_anatomy
+@pytest.mark.parametrize(
+    ("name", "outside"),
+    [
+        ("levator_labii_superioris_alaeque_nasi", 0.93),
+        ("corrugator_supercilii", 0.91),
+        ("depressor_septi_nasi", 1.29),
+    ],
+)
+def test_muscles_move_by_what_their_source_stands_outside(taro, name, outside):
+    """No muscle in the tissue is nearer to its source than that stands out of the tissue."""
+    points = BodyParts3D(FOLDER).surface(name).samples(0.4)
+    gap = taro.tissue.locate(points).distance
+    assert_allclose(np.sqrt(np.mean(gap**2)), outside, atol=0.03)
+    assert taro.about["quality"]["moved_rms_mm"][name] < outside + 0.15
+
+
+def test_heads_are_compared_part_by_part(taro):
+    strap = taro.muscles["risorius"]
+    moved = strap.transformed(lambda points: points + np.array([0.3, 0.0, 0.4]))
+    other = replace(
+        taro,
+        muscles=taro.muscles | {"risorius": moved},
+        attachments={k: v for k, v in taro.attachments.items() if k != "mentalis"},
+    )
+    found = {(item.kind, item.part): item for item in differences(taro, other)}
+    assert_allclose(found["muscle", "risorius"].greatest, 0.5, atol=1e-6)
+    assert found["attachment", "mentalis"].greatest == np.inf
+    del found["muscle", "risorius"], found["attachment", "mentalis"]
+    kinds = {item.kind for item in found.values()}
+    assert kinds == {"tissue", "muscle", "deep", "field", "attachment", "insertion"}
+    for item in found.values():
+        # A surface is drawn by triangles: it is no nearer to its own distances than that.
+        assert item.greatest < (0.15 if item.kind == "deep" else 1e-12)
+
+
+@needs_anatomy
+@pytest.mark.slow
+def test_build_makes_the_shipped_head(taro):
+    for item in differences(taro, build_head(FOLDER)[0]):
+        assert item.greatest < (0.15 if item.kind == "deep" else 0.02), item
 
 
 @pytest.mark.parametrize("name", MUSCLES)

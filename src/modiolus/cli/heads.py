@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -105,6 +106,27 @@ def head_show(
     )
     text = "\n".join([*provenance_lines(chosen.about), text])
     show(record, text, as_json, quiet)
+
+
+@_head.command("diff", epilog="Example: modiolus head diff taro heads/mine")
+def head_diff(
+    one: Annotated[str, typer.Argument(metavar="HEAD", help="A shipped head, or a folder.")],
+    other: Annotated[str, typer.Argument(metavar="OTHER", help="The head to compare it with.")],
+    as_json: Json = False,
+) -> None:
+    """Say how far two heads of one template are from each other, part by part."""
+    from dataclasses import asdict
+
+    from modiolus.face.differences import differences, differences_text
+    from modiolus.face.head import Head
+
+    found = differences(Head.load(one), Head.load(other))
+    rows = [
+        {key: None if value == math.inf else value for key, value in asdict(item).items()}
+        for item in found
+    ]
+    record = {"head": one, "other": other, "differences": rows}
+    show(record, differences_text(found), as_json, quiet=False)
 
 
 @app.command(
