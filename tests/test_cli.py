@@ -20,6 +20,7 @@ from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.face.head import Head
 from modiolus.mechanics import Settings, continuation
+from modiolus.mechanics.face import FaceSettings
 from modiolus.progress import Interruption, Progress
 
 COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head show"]
@@ -67,6 +68,14 @@ def test_help_has_an_example(run, command):
     assert "Example" in out and f"modiolus {command}" in " ".join(out.split())
 
 
+def test_help_has_the_usual_values_of_the_settings(run):
+    _, out, _ = run("simulate", "--help")
+    told = dict(re.findall(r"([a-z_]+)=([\w.]*\w)", out[out.index("--set") : out.index("--head")]))
+    assert told == {
+        name: f"{value}".removesuffix(".0") for name, value in vars(FaceSettings()).items()
+    }
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -78,14 +87,24 @@ def test_help_has_an_example(run, command):
         (["simulate", "gone.toml"], ["gone.toml", "cannot be read"]),
         (["simulate", "smile-closed", "--head", "tara"], ["tara", "taro"]),
         (["simulate", "smile-closed", "--head", "./nowhere"], ["nowhere"]),
-        (["simulate", "--activation", "mentalis"], ["--activation mentalis", "muscle=value"]),
-        (["simulate", "--activation", "mentalis=much"], ["--activation mentalis=much"]),
+        (["simulate", "--activation", "mentalis"], ["--activation mentalis", "name=value"]),
+        (["simulate", "--activation", "mentalis=much"], ["--activation mentalis=much", "number"]),
         (["simulate", "--activation", "mentalus=0.5"], ["mentalus", "did you mean mentalis"]),
         (["simulate", "--activation", "mentalis=nan"], ["mentalis", "nan", "0 to 1"]),
         (["simulate", "--activation", "mentalis=-0.1"], ["mentalis", "-0.1", "0 to 1"]),
         (["simulate", "--activation", "mentalis=1.01"], ["mentalis", "1.01", "0 to 1"]),
         (["simulate", "--activation", "mentalis_lef=0.5"], ["mentalis_lef", "did you mean"]),
         (["simulate", "sad", "--jaw-open", "wide"], ["--jaw-open"]),
+        (["simulate", "sad", "--set", "sigma=250"], ["setting 'sigma'", "did you mean sigma_max"]),
+        (["simulate", "sad", "--set", "skin"], ["--set skin", "name=value"]),
+        (["simulate", "sad", "--set", "skin=nan"], ["--set skin", "nan", "from 0 up"]),
+        (["simulate", "sad", "--set", "fat=0"], ["--set fat", "above 0"]),
+        (["simulate", "sad", "--set", "gauss_order=2"], ["gauss_order", "3 to 8"]),
+        (
+            ["simulate", "sad", "--set", "gauss_order=4.5"],
+            ["gauss_order=4.5", "whole number"],
+        ),
+        (["catalogue", "--set", "muscle=wu"], ["passive muscle 'wu'", "did you mean wu2013"]),
         (["simulate", "sad", "--out", "/dev/null"], ["--out /dev/null", "cannot be written"]),
         (["simulate", "sad", "--out", "/proc/none"], ["--out /proc/none", "cannot be written"]),
         (["simulate", "sad", "--outt", "x"], ["--outt"]),

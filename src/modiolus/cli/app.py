@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modiolus import __version__
 from modiolus.cli.outputs import as_text
+from modiolus.errors import InputError, unknown_name
 
-__all__ = ["app", "show"]
+if TYPE_CHECKING:
+    from modiolus.mechanics.face import FaceSettings
+
+__all__ = ["app", "assignments", "face_settings", "show"]
 
 app = typer.Typer(
     name="modiolus",
@@ -29,6 +34,17 @@ Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the 
 HeadName = Annotated[
     str, typer.Option("--head", metavar="NAME|DIR", help="A shipped head, or a folder with one.")
 ]
+# The names and usual values are those of `FaceSettings`, which is too slow to import for a help.
+Setting = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="A parameter of the face in place of its usual value; repeatable: muscle=wu2013, "
+        "passive=1, fat=1, sigma_max=300 kPa, kappa=80 kPa, modiolus=30 kPa, skin=3 kPa, "
+        "contact=250 kPa/mm, slide=0.05, reach=2 mm, gauss_order=4.",
+    ),
+]
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
 ]
@@ -41,6 +57,42 @@ def show(record: Mapping[str, Any], text: str, as_json: bool, quiet: bool) -> No
         sys.stdout.write(as_text(record) + "\n")
     elif not quiet:
         sys.stdout.write(text + "\n")
+
+
+def assignments(
+    option: str, texts: Sequence[str], example: str, kind: Callable[[str], type]
+) -> dict[str, Any]:
+    """Return what an option like ``name=value`` says, each value of the kind that its name has."""
+    found = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise InputError(f"{option} {text}: not of the form name=value; write, say, {example}")
+        wanted = kind(name)
+        try:
+            found[name] = wanted(value)
+        except ValueError:
+            what = "whole number" if wanted is int else "number"
+            raise InputError(f"{option} {text}: {value!r} is no {what}; give one") from None
+    return found
+
+
+def face_settings(texts: Sequence[str]) -> FaceSettings:
+    """Return the parameters of the face, some of them as `Setting` says."""
+    from modiolus.mechanics.face import FaceSettings
+
+    usual = {item.name: item.default for item in fields(FaceSettings)}
+
+    def kind(name: str) -> type:
+        if name not in usual:
+            raise unknown_name("setting", name, usual)
+        return type(usual[name])
+
+    changed = assignments("--set", texts, "sigma_max=250", kind)
+    try:
+        return FaceSettings(**changed)
+    except InputError as error:
+        raise InputError(f"--set {error}") from None
 
 
 def _print_version(wanted: bool) -> None:

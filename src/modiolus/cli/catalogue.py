@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
+from modiolus.cli.app import HeadName, Json, Out, Quiet, Setting, app, face_settings, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import SolveError
 
@@ -18,6 +18,7 @@ ALONE = {"strap": 1.0, "sheet": 0.2, "ring": 0.15}
 
 @app.command(epilog="Example: modiolus catalogue --out out")
 def catalogue(
+    settings: Setting = [],  # noqa: B006
     head: HeadName = "taro",
     out: Out = Path("out"),
     as_json: Json = False,
@@ -31,13 +32,14 @@ def catalogue(
     from modiolus.face.head import Head
 
     chosen = Head.load(head)
+    parameters = face_settings(settings)
     target = out / "catalogue"
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
         from modiolus.mechanics import LoadNotReached
         from modiolus.view.face import draw_catalogue
 
-        runner = Runner(chosen, quiet, head)
+        runner = Runner(chosen, quiet, head, parameters)
         runs, states, short = [], [], []
         for muscle in chosen.muscles.values():
             began = time.perf_counter()

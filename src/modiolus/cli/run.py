@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from modiolus.face.head import Head
 from modiolus.face.refine import at_points
 from modiolus.hermite.tessellate import tessellate
 from modiolus.mechanics import State
-from modiolus.mechanics.face import Face
+from modiolus.mechanics.face import Face, FaceSettings
 from modiolus.progress import Progress
 from modiolus.scans.result import STATE_FILE, save_state
 from modiolus.view.face import draw_face
@@ -41,11 +42,18 @@ class Runner:
         No progress.
     source : str
         Name or folder of the head, for those who read the state later.
+    settings : FaceSettings, optional
     """
 
-    def __init__(self, head: Head, quiet: bool = False, source: str = "") -> None:
+    def __init__(
+        self,
+        head: Head,
+        quiet: bool = False,
+        source: str = "",
+        settings: FaceSettings | None = None,
+    ) -> None:
         self.head = head
-        self.face = Face(head)
+        self.face = Face(head, settings)
         self.source = str(Path(source).resolve()) if Path(source, "head.toml").is_file() else source
         self.quiet = quiet
 
@@ -140,6 +148,7 @@ class Runner:
             "volume_change": statistics.volume_change,
             "max_penetration_mm": statistics.max_penetration_mm,
             "activations": state.activations,
+            "settings": asdict(self.face.settings),
             "jaw_open": round(math.degrees(state.load.jaw), 6),
             "landmarks": self.landmarks(state),
             "files": {},

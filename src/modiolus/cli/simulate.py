@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
+from modiolus.cli.app import (
+    HeadName,
+    Json,
+    Out,
+    Quiet,
+    Setting,
+    app,
+    assignments,
+    face_settings,
+    show,
+)
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError, SolveError, Stopped
 from modiolus.progress import Interruption
@@ -26,7 +36,8 @@ if TYPE_CHECKING:
     epilog="Examples: modiolus simulate smile-closed · modiolus simulate my.toml --json · "
     "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5 · "
     "modiolus simulate terror --jaw-open 12 · modiolus simulate smile-closed --palsy right · "
-    "modiolus simulate --activation risorius=1 --from out/smile-closed"
+    "modiolus simulate --activation risorius=1 --from out/smile-closed · "
+    "modiolus simulate sad --set sigma_max=250 --set skin=0"
 )
 def simulate(
     expression: Annotated[
@@ -72,6 +83,7 @@ def simulate(
             show_default=False,
         ),
     ] = "",
+    settings: Setting = [],  # noqa: B006
     head: HeadName = "taro",
     out: Out = Path("out"),
     as_json: Json = False,
@@ -87,7 +99,7 @@ def simulate(
     from modiolus.face.head import Head
     from modiolus.face.jaw import opening
 
-    given = dict(_activation(text) for text in activation)
+    given = assignments("--activation", activation, "mentalis=0.5", lambda _: float)
     if expression:
         wanted = Expression.named(expression)
     elif given or jaw_open is not None:
@@ -97,13 +109,14 @@ def simulate(
     jaw = opening(wanted.jaw_open if jaw_open is None else jaw_open)
     chosen = Head.load(head)
     activations = resolve({**wanted.activations, **given}, chosen.muscles, palsy)
+    parameters = face_settings(settings)
     target = out / wanted.name
     earlier = _earlier(start, head, chosen) if start else None
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
         from modiolus.mechanics import Interrupted, LoadNotReached
 
-        runner = Runner(chosen, quiet, head)
+        runner = Runner(chosen, quiet, head, parameters)
         title = f"{wanted.title or wanted.name}, {palsy} side palsied" if palsy else wanted.title
         begin = None if earlier is None else _begin(runner, earlier, start)
         try:
@@ -174,16 +187,3 @@ def describe(record: dict[str, Any]) -> str:
         f"mouth moved {corners}\n"
         f"Picture: {record['files']['picture']}\nReport:  {record['files']['report']}"
     )
-
-
-def _activation(text: str) -> tuple[str, float]:
-    """Read ``muscle=value``."""
-    muscle, equals, value = text.partition("=")
-    try:
-        if not equals:
-            raise ValueError
-        return muscle.strip(), float(value)
-    except ValueError:
-        raise InputError(
-            f"--activation {text}: not of the form muscle=value; write, say, mentalis=0.5"
-        ) from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -53,7 +53,13 @@ class FaceSettings:
     reach : float
         Tissue within this distance (mm) of bone at rest slides on it.
     gauss_order : int
-        Gauss points of the tissue in each direction of an element.
+        Gauss points of the tissue in each direction of an element, 3 to 8.
+
+    Raises
+    ------
+    InputError
+        The parameter set is not known, a number is not finite or negative, or 0 where nothing
+        would hold the tissue, pull it or keep it from overlapping.
     """
 
     muscle: str = "wu2013"
@@ -68,7 +74,20 @@ class FaceSettings:
     reach: float = 2.0
     gauss_order: int = GAUSS
 
+    def __post_init__(self) -> None:
+        if self.muscle not in MUSCLE:
+            raise unknown_name("passive muscle", self.muscle, MUSCLE)
+        for name in (item.name for item in fields(self) if item.name != "muscle"):
+            value = getattr(self, name)
+            least = 0.0 if name in _MAY_BE_ZERO else np.finfo(float).tiny
+            if not least <= value < np.inf:
+                bound = "from 0 up" if name in _MAY_BE_ZERO else "above 0"
+                raise InputError(f"{name}: {value:g} is no finite number {bound}; mend it")
+        if self.gauss_order not in range(3, 9):
+            raise InputError(f"gauss_order: {self.gauss_order:g} points; give 3 to 8")
 
+
+_MAY_BE_ZERO = ("kappa", "skin", "slide", "reach")
 #: Thickness of the skin (mm): its dermis has 0.8 to 2.0 mm in the face.
 DERMIS = 1.5
 #: Deep structures that the tissue keeps to when it is pulled away: bone under thin tissue, and the
@@ -289,16 +308,9 @@ def tissue(head: Head, settings: FaceSettings) -> Array:
     -------
     (n_elements, q, 3) array
         ``(c10, c01, c20)`` in kPa, linear in `passive`, `fat`, `skin` and `modiolus`.
-
-    Raises
-    ------
-    InputError
-        The parameter set of passive muscle is not known.
     """
     order = settings.gauss_order
     fraction, firmness = (at_gauss(values, order) for values in (head.fraction, head.firmness))
-    if settings.muscle not in MUSCLE:
-        raise unknown_name("passive muscle", settings.muscle, MUSCLE)
     muscle, fat = MUSCLE[settings.muscle].times(settings.passive), FAT.times(settings.fat)
     coefficients = mix(fraction, muscle, fat)
     coefficients[..., 0] += settings.skin * skin_share(head, order)
