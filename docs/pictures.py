@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from modiolus.cli.run import Runner
 from modiolus.export.scene import FaceScene
@@ -63,9 +64,29 @@ def draw_sides_and_jaw(head: Head) -> None:
     _draw_states(runner.scene, rest, states, IMAGES / "sides-and-jaw.png")
 
 
+def draw_layout(head: Head) -> None:
+    """Draw where the skin lies in a texture, with its colours and every fourth line of its grid."""
+    size = 900
+    coarse, fine = FaceScene(head, divisions=2), FaceScene(head, divisions=8)
+    image = Image.new("RGB", (size, size), "white")
+    draw = ImageDraw.Draw(image)
+    assert coarse.layout is not None and fine.layout is not None
+    for scene, line in ((fine, False), (coarse, True)):
+        places = scene.layout * [size, -size] + [0, size]
+        for face in scene.skin_mirror.faces:
+            corners = [tuple(place) for place in places[face]]
+            colour = tuple(int(255 * value) for value in scene.colours[face].mean(axis=0))
+            if line:
+                draw.line([*corners[:2], corners[2]], fill=(120, 105, 100))
+            else:
+                draw.polygon(corners, fill=colour)
+    image.save(IMAGES / "layout.png", optimize=True)
+
+
 if __name__ == "__main__":
     taro = Head.load("taro")
     IMAGES.mkdir(exist_ok=True)
+    draw_layout(taro)
     draw_muscles(taro, "Muscles of the left side · taro", IMAGES / "muscles.png")
     draw_expressions(taro, ["smile-closed", "smile-open", "sad", "terror"])
     draw_sides_and_jaw(taro)

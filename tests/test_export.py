@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.export import Shape, in_turn, write_glb, write_vtu
+from modiolus.export.scene import FaceScene
 from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh, bricks, outward
 from modiolus.hermite.tessellate import Mirror, tessellate
@@ -109,7 +110,7 @@ def read_glb(path):
         record = content["accessors"][number]
         view = content["bufferViews"][record["bufferView"]]
         dtype = {5126: np.float32, 5125: np.uint32}[record["componentType"]]
-        width = {"SCALAR": 1, "VEC3": 3}[record["type"]]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[record["type"]]
         start = view.get("byteOffset", 0)
         array = np.frombuffer(blob, dtype, record["count"] * width, start)
         return array.reshape(-1, width)
@@ -121,7 +122,8 @@ def test_glb_holds_shapes_and_morph_targets(tmp_path):
     vertices = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 10.0]])
     faces = np.array([[0, 1, 2]])
     skin = Shape(vertices, faces, (1.0, 0.5, 0.0), "skin")
-    teeth = Shape(vertices + 5.0, faces, (1.0, 1.0, 1.0), "teeth")
+    layout = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.25]])
+    teeth = Shape(vertices + 5.0, faces, (1.0, 1.0, 1.0), "teeth", layout=layout)
     moved = vertices + np.array([1.0, 2.0, 3.0])
     path = tmp_path / "face.glb"
     write_glb(path, [skin, teeth], {"skin": {"smile": moved}}, attribution="somebody")
@@ -147,9 +149,38 @@ def test_glb_holds_shapes_and_morph_targets(tmp_path):
     normals = accessor(primitive["attributes"]["NORMAL"])
     np.testing.assert_allclose(normals, np.tile([0.0, 0.0, 1.0], (3, 1)), atol=1e-6)
     np.testing.assert_array_equal(accessor(primitive["indices"]).ravel(), [0, 1, 2])
+    assert "TEXCOORD_0" not in primitive["attributes"]
+    # v is counted from the upper edge.
+    coordinates = content["meshes"][1]["primitives"][0]["attributes"]["TEXCOORD_0"]
+    np.testing.assert_allclose(accessor(coordinates), [[0.0, 1.0], [1.0, 1.0], [0.0, 0.75]])
     for number, record in enumerate(content["accessors"]):
         if "min" in record:
             np.testing.assert_allclose(accessor(number).min(axis=0), record["min"])
+
+
+@pytest.mark.parametrize("name", ["taro", "ict"])
+def test_no_two_places_of_the_skin_share_one_of_its_texture(name):
+    skin, *_ = FaceScene(Head.load(name), divisions=2).shapes(Head.load(name).tissue.parameters)
+    assert skin.layout.min() > 0.0 and skin.layout.max() < 1.0
+    first, second, third = (skin.layout[skin.faces[:, k]] for k in range(3))
+    along, across = second - first, third - first
+    double = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
+    assert double.min() > 0.0
+    # With one orientation everywhere, points that lie in one triangle at most prove the rest.
+    points = np.random.default_rng(0).uniform(0.0, 1.0, (2000, 1, 2)) - first
+    b = (points[..., 0] * across[:, 1] - points[..., 1] * across[:, 0]) / double
+    c = (along[:, 0] * points[..., 1] - along[:, 1] * points[..., 0]) / double
+    hits = ((b > 0.0) & (c > 0.0) & (b + c < 1.0)).sum(axis=1)
+    assert hits.max() == 1 and hits.mean() == pytest.approx(0.5 * double.sum(), abs=0.03)
+
+
+def test_heads_of_one_template_share_the_layout_and_the_halves_meet():
+    scenes = [FaceScene(Head.load(name), divisions=1) for name in ("taro", "ict")]
+    np.testing.assert_array_equal(scenes[0].layout, scenes[1].layout)
+    scene, rest = scenes[0], scenes[0].skin_points(Head.load("taro").tissue.parameters)
+    middle = np.abs(rest[:, 0] - scene.skin_mirror.plane) < 1e-3
+    np.testing.assert_allclose(scene.layout[middle, 0], 0.5)
+    assert ((scene.layout[:, 0] > 0.5) == (rest[:, 0] > scene.skin_mirror.plane + 1e-3)).all()
 
 
 def test_vtu_is_read_back(tmp_path):

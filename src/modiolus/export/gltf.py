@@ -135,6 +135,12 @@ class _Writer:
         if colour.ndim == 2:
             attributes.COLOR_0 = self.vectors(linear_light(colour))
             colour = np.ones(3)
+        if shape.layout is not None:
+            # glTF counts v from the upper edge of a texture.
+            down = np.ascontiguousarray(shape.layout * [1, -1] + [0, 1], dtype=np.float32)
+            attributes.TEXCOORD_0 = self.accessor(
+                down, pygltflib.VEC2, pygltflib.ARRAY_BUFFER, False
+            )
         triangles = np.ascontiguousarray(shape.faces, dtype=np.uint32).reshape(-1)
         morphs = []
         for name, vertices in targets.items():

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from modiolus.export.layout import skin_layout
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
 from modiolus.face.jaw import FOLLOWERS
@@ -49,6 +50,8 @@ class FaceScene:
         How the two halves of the skin are joined.
     colours : (n, 3) array
         Natural sRGB colour of every vertex of the skin.
+    layout : (n, 2) array or None
+        Texture coordinates of every vertex of the skin, where its grid is that of the template.
     """
 
     def __init__(self, head: Head, divisions: int = 8) -> None:
@@ -64,6 +67,7 @@ class FaceScene:
             self._lining.points(self._rest), self._lining.cells, head.midplane
         )
         self.colours = self._paint(head, skin)
+        self.layout = self._lay_out(head, skin)
         self._still = [*_eyes(head), *_mouth(head)]
 
     def skin_points(self, parameters: Array) -> Array:
@@ -98,6 +102,7 @@ class FaceScene:
             "skin",
             gloss=0.22 if natural else 0.08,
             glow=0.7 if natural else 0.0,
+            layout=self.layout,
         )
         left, right = (self._lining.points(side) for side in self._head.halves(parameters))
         lining = Shape(
@@ -145,6 +150,16 @@ class FaceScene:
             vertices = np.where(low[:, None], vertices, shape.vertices)
         return replace(shape, vertices=vertices)
 
+    def _lay_out(self, head: Head, skin: list[str]) -> Array | None:
+        """Return the texture coordinates of the skin; the halves are joined where u is 1/2."""
+        left = skin_layout(head, skin, self._skin)
+        if left is None:
+            return None
+        layout = self.skin_mirror.values(left)
+        image = self.skin_mirror.reflected
+        layout[image, 0] = 1.0 - layout[image, 0]
+        return layout
+
     def _paint(self, head: Head, skin: list[str]) -> Array:
         """Return the natural colour of the skin: lips redder, eyebrows dark."""
         counts = [len(head.sides[name][0]) for name in skin]
@@ -183,7 +198,7 @@ class FaceScene:
 def eye(
     centre: Array, radius: float, name: str, gaze: tuple[float, float, float] = (0, -1, 0)
 ) -> Shape:
-    """Return an eyeball with iris and pupil.
+    """Return an eyeball with iris and pupil; in a texture it is a disc around the pupil.
 
     Parameters
     ----------
@@ -222,6 +237,8 @@ def eye(
         np.repeat(colours, len(turns), axis=0),
         name,
         gloss=0.8,
+        layout=0.5
+        - 0.5 / np.pi * np.stack([ring * np.cos(turn), ring * np.sin(turn)], -1).reshape(-1, 2),
     )
 
 

@@ -29,6 +29,8 @@ class Shape:
         Strength of the highlight, 0 (matt) to 1 (wet).
     glow : float
         Share of the light that has wandered under the surface, as it does in skin.
+    layout : (n, 2) array, optional
+        Texture coordinates (u, v) of every vertex, from 0 at the left and below to 1.
 
     Raises
     ------
@@ -42,6 +44,7 @@ class Shape:
     name: str = ""
     gloss: float = 0.12
     glow: float = 0.0
+    layout: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(numbers(f"{self.name or 'shape'}: vertices", self.vertices, None, 3))
@@ -51,6 +54,8 @@ class Shape:
                 f"{self.name or 'shape'}: faces {corners.shape} and colour {np.shape(self.colour)} "
                 "do not fit; give three corners a face and one colour, or one a vertex"
             )
+        if self.layout is not None:
+            numbers(f"{self.name or 'shape'}: layout", self.layout, n, 2)
 
     def colours(self) -> Array:
         """Return the colour of every vertex, (n, 3)."""
