@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from modiolus.cli import main
 from modiolus.errors import InputError
-from modiolus.export import Shape, in_turn, write_glb, write_vtu
+from modiolus.export import Shape, in_turn, vertex_normals, write_glb, write_vtu
 from modiolus.export.scene import FaceScene
 from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh, bricks, outward
@@ -248,6 +248,45 @@ def test_an_animation_lets_the_targets_come_and_go(tmp_path):
         )
 
 
+def test_in_betweens_correct_a_target_on_its_way(tmp_path):
+    """Played by the keys, the surface passes through every state that was given."""
+    ways = {
+        "nod": {1.0: [0.0, 3.0, 0.0], 1 / 3: [1.0, 1.0, 0.5], 2 / 3: [0.5, 2.5, 0.0]},
+        "tilt": {1.0: [0.0, 0.0, 4.0], 1 / 3: [0.0, -1.0, 1.0], 2 / 3: [0.0, 0.0, 3.5]},
+    }
+    bend = np.array([[0.0], [1.0], [2.0]])
+    targets, between = {}, {}
+    for name, way in ways.items():
+        for share, shift in way.items():
+            part = name if share == 1.0 else f"{name}_{100 * share:.0f}"
+            targets[part] = SKIN.vertices + bend * shift
+            if share < 1.0:
+                between[part] = name, share
+    path = tmp_path / "face.glb"
+    write_glb(path, [SKIN], {"skin": targets}, keys=in_turn(2, 3.0, 2), between=between)
+    content, accessor = read_glb(path)
+    (sampler,) = content["animations"][0]["samplers"]
+    times = accessor(sampler["input"]).ravel()
+    np.testing.assert_allclose(times, np.linspace(0.0, 6.0, 13))
+    weights = accessor(sampler["output"]).reshape(len(times), -1)
+    primitive = content["meshes"][0]["primitives"][0]
+    for kind, scale in (("POSITION", 1000.0), ("NORMAL", 1.0)):
+        deltas = np.stack([accessor(target[kind]) for target in primitive["targets"]])
+        played = scale * (
+            accessor(primitive["attributes"][kind]) + np.einsum("tk,kni->tni", weights, deltas)
+        )
+        for number, name in enumerate(ways):
+            for step, part in enumerate([f"{name}_33", f"{name}_67", name, f"{name}_67"], 1):
+                there = targets[part]
+                if kind == "NORMAL":
+                    there = vertex_normals(there, SKIN.faces)
+                np.testing.assert_allclose(
+                    played[6 * number + step], there[:, [0, 2, 1]] * [1, 1, -1], atol=1e-5
+                )
+    with pytest.raises(InputError, match="nod_33: in-between of shake"):
+        write_glb(path, [SKIN], {"skin": targets}, between={"nod_33": ("shake", 0.3)})
+
+
 @pytest.fixture(scope="module")
 def states(tmp_path_factory):
     """Folders with two states of the shipped head, made by hand."""
@@ -294,6 +333,7 @@ def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
         (["wide", "wide"], "already"),
         (["wide", "none"], "none"),
         (["wide", "--seconds", "nan"], "--seconds"),
+        (["wide", "--inbetweens", "10"], "--inbetweens 10"),
     ],
 )
 def test_what_makes_no_model_is_refused(states, tmp_path, monkeypatch, capsys, arguments, word):

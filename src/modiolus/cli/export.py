@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,15 +11,16 @@ import typer
 
 from modiolus.cli.app import Json, Quiet, app, show
 from modiolus.cli.outputs import whole_folder, write_report
-from modiolus.errors import InputError
+from modiolus.errors import InputError, SolveError
 
 if TYPE_CHECKING:
+    from modiolus.mechanics import State
     from modiolus.scans.result import Result
 
 
 @app.command(
     epilog="Examples: modiolus export taro --ex out/ex · "
-    "modiolus export out/sad out/terror --glb out/faces --seconds 2"
+    "modiolus export out/sad out/terror --glb out/faces --seconds 2 --inbetweens 1"
 )
 def export(
     sources: Annotated[
@@ -53,6 +54,14 @@ def export(
             "sequence play in their own time without it."
         ),
     ] = 0.0,
+    inbetweens: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            help="With --glb: compute so many states on the way to each result, which correct its "
+            "shape key where it is not at full strength.",
+        ),
+    ] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -64,13 +73,15 @@ def export(
         raise InputError("--ex, --glb: give one of them, such as --glb out/faces")
     if not 0.0 <= seconds <= 60.0:
         raise InputError(f"--seconds {seconds:g}: not within 0 to 60; give a number in there")
+    if not 0 <= inbetweens <= 9:
+        raise InputError(f"--inbetweens {inbetweens}: not within 0 to 9; give a number in there")
     if ex is not None:
         if len(sources) > 1:
             raise InputError(f"{sources[1]}: EX files take one head or result; export it apart")
         record, text = _write_ex(sources[0], ex, cmgui)
     else:
         assert glb is not None
-        record, text = _write_glb(sources, glb, seconds)
+        record, text = _write_glb(sources, glb, seconds, inbetweens, quiet)
     show(record, text, as_json, quiet)
 
 
@@ -104,7 +115,9 @@ def _write_ex(source: str, target: Path, cmgui: bool) -> tuple[dict[str, Any], s
     return record, "\n".join(lines)
 
 
-def _write_glb(sources: Sequence[str], target: Path, seconds: float) -> tuple[dict[str, Any], str]:
+def _write_glb(
+    sources: Sequence[str], target: Path, seconds: float, inbetweens: int, quiet: bool
+) -> tuple[dict[str, Any], str]:
     from modiolus.export import in_turn, write_glb
     from modiolus.export.scene import FaceScene
     from modiolus.scans.result import load_result
@@ -123,27 +136,60 @@ def _write_glb(sources: Sequence[str], target: Path, seconds: float) -> tuple[di
         if not np.array_equal(other.head.tissue.parameters, rest):
             raise InputError(f"{source}: it is of another head than {sources[0]}; export it apart")
     head = first.head
-    keys = in_turn(len(results), seconds) if seconds else _in_time(list(results.values()))
+    keys = in_turn(len(results), seconds, inbetweens) if seconds else None
+    if not seconds:
+        keys = _in_time(list(results.values()))
+        if keys is not None and inbetweens:
+            raise InputError(
+                "--inbetweens: frames of a sequence blend from one to the next, not from rest; "
+                "leave it out, or let them come and go with --seconds"
+            )
     scene = FaceScene(head)
     with whole_folder(target, marker="report.json", option="--glb") as folder:
-        states = {name: (result.parameters, result.jaw) for name, result in results.items()}
+        states: dict[str, tuple[np.ndarray, float]] = {}
+        between: dict[str, tuple[str, float]] = {}
+        for name, result in results.items():
+            states[name] = result.parameters, result.jaw
+            for share, state in _on_the_way(result, inbetweens, quiet):
+                part = f"{name}_{100.0 * share:.0f}"
+                states[part] = state.parameters, state.load.jaw
+                between[part] = name, share
         write_glb(
             folder / "faces.glb",
             scene.shapes(rest),
             scene.targets(states),
             str(head.about.get("attribution", "")),
             keys,
+            between,
         )
         (folder / "LICENSE").write_text(head.licence_text(), encoding="utf-8")
         record = {
             "head": head.name,
-            "shape_keys": list(results),
+            "shape_keys": list(states),
             "seconds": 0.0 if keys is None else float(keys[0][-1]),
             "files": {"model": str(target / "faces.glb")},
         }
         write_report(folder, record)
-    text = f"{head.name}: {', '.join(results)}\nModel: {target / 'faces.glb'}"
+    text = f"{head.name}: {', '.join(states)}\nModel: {target / 'faces.glb'}"
     return record, text
+
+
+def _on_the_way(result: Result, count: int, quiet: bool) -> Iterator[tuple[float, State]]:
+    """Yield evenly spaced shares of the load of a result, and the states of the face there."""
+    from modiolus.mechanics import LoadNotReached
+    from modiolus.mechanics.face import Face
+    from modiolus.progress import Progress
+
+    face, state = Face(result.head, result.settings), None
+    for step in range(1, count + 1):
+        share = step / (count + 1)
+        part = {name: share * value for name, value in result.activations.items()}
+        try:
+            with Progress(f"solving {result.expression} at {share:.0%}", quiet=quiet) as progress:
+                state = face.solve(part, share * result.jaw, state, progress.update)
+        except LoadNotReached as error:
+            raise SolveError(f"{result.expression} at {share:.0%}: {error}") from None
+        yield share, state
 
 
 def _in_time(results: Sequence[Result]) -> tuple[np.ndarray, np.ndarray] | None:

@@ -6,8 +6,9 @@ import csv
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,6 +30,7 @@ from modiolus.progress import Progress
 
 if TYPE_CHECKING:
     from modiolus.face.head import Head
+    from modiolus.fitting.register import Registration
     from modiolus.scans.align import Alignment
     from modiolus.scans.identify import Identification
     from modiolus.scans.scan import Scan
@@ -95,6 +97,15 @@ def identify(
         float,
         typer.Option("--rate", metavar="HZ", help="Frames a second, where they have no time."),
     ] = 30.0,
+    smooth: Annotated[
+        float,
+        typer.Option(
+            "--smooth",
+            metavar="SECONDS",
+            help="Smooth a sequence: the time in which a muscle is thought to go from rest to "
+            "where it shows; the longer, the smoother.",
+        ),
+    ] = 0.0,
     landmarks: Landmarks = None,
     unit: Unit = "",
     head: HeadName = "taro",
@@ -119,6 +130,8 @@ def identify(
         raise InputError("--scan, --markers: give one of them, such as --scan smile.ply")
     if not 0.0 < rate <= 10_000.0:
         raise InputError(f"--rate {rate:g}: not within 0 to 10000 Hz; give a number in there")
+    if not 0.0 <= smooth <= 1000.0:
+        raise InputError(f"--smooth {smooth:g}: not within 0 to 1000 s; give a time in there")
     chosen = Head.load(head)
     working = chosen.whole if sides else chosen
     free = None if muscles == "all" else listed(muscles)
@@ -132,38 +145,35 @@ def identify(
     else:
         assert markers is not None
         measured = _Markers(markers, neutral, rate, unit or None, pairs)
+    single = measured.count == 1
+    if single and smooth:
+        raise InputError(f"--smooth: {measured.path.name} is a single frame; leave it out")
     target = out / f"identify-{measured.name}"
     source = str(Path(head).resolve()) if Path(head, "head.toml").is_file() else head
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.mechanics.face import Face
-        from modiolus.scans.identify import identify as search
+        from modiolus.scans.identify import Identification
+        from modiolus.scans.sequence import follow
         from modiolus.scans.skin import Skin
 
         skin, face = Skin(chosen), Face(chosen)
+        frames = measured.frames(skin)
         rows: list[dict[str, Any]] = []
-        latest: Identification | None = None
-        single = measured.count == 1
-        title = f"identifying {measured.path.name}"
-        with Progress(title, total=measured.count, quiet=quiet) as progress:
-            for number, frame in enumerate(measured.frames(skin)):
-
-                def report(share: float, text: str, number: int = number) -> None:
-                    progress.update(number + share, text)
-
-                try:
-                    found = search(face, frame.target, wanted, start=latest, report=report)
-                except SolveError as error:
+        last: tuple[_Frame, Identification] | None = None
+        with Progress(f"identifying {measured.path.name}", quiet=quiet) as progress:
+            for frame, found in follow(face, frames, wanted, smooth, progress.update):
+                facts: dict[str, Any] = {"frame": frame.name, "time": frame.time}
+                if not isinstance(found, Identification):
                     if single:
-                        raise
-                    rows.append({"frame": frame.name, "time": frame.time, "fault": str(error)})
+                        raise found
+                    rows.append(facts | {"fault": str(found)})
                     continue
-                latest, last = found, frame
+                last = frame, found
                 place = folder if single else folder / "frames" / frame.name
                 place.mkdir(parents=True, exist_ok=True)
                 _write_frame(place, frame, measured.path.name, found, chosen, source, single)
-                facts = {"frame": frame.name, "time": frame.time, "rms_mm": found.history[-1]}
-                rows.append(facts | identified(found))
-        if latest is None:
+                rows.append(facts | {"rms_mm": found.history[-1]} | identified(found))
+        if last is None:
             raise SolveError(f"{measured.path}: no frame was met; the first: {rows[0]['fault']}")
         record: dict[str, Any] = {
             "head": chosen.name,
@@ -171,7 +181,7 @@ def identify(
             **measured.facts(),
         }
         if single:
-            files, text = _write_single(folder, target, skin, measured, last, latest, record)
+            files, text = _write_single(folder, target, skin, measured, *last, record)
         else:
             files, text = _write_sequence(folder, target, rows, record)
         record["seconds"] = round(time.perf_counter() - began, 3)
@@ -182,17 +192,18 @@ def identify(
 
 @dataclass(frozen=True)
 class _Frame:
-    """One frame of what was measured: what to match, and the scan in the head's frame."""
+    """One frame of what was measured, which is only made ready to be matched when it comes."""
 
     name: str
     time: float
-    target: Target
-    scan: Scan | None = None
-    neutral: Scan | None = None
+    target: Callable[[], Target]
 
 
 class _Scans:
-    """A scan, or those of a folder in the order of their names."""
+    """A scan, or those of a folder in the order of their names.
+
+    `placed` is the latest that was matched, in the head's frame, and `at_rest` the neutral one.
+    """
 
     def __init__(
         self, path: Path, neutral: Path | None, rate: float, unit: str | None, pairs: Pairs
@@ -213,36 +224,49 @@ class _Scans:
         self._first = read_scan(next(iter(self._files.values())))
         self.name = folder_name(str(path), path.resolve().stem)
         self.count = len(self._files)
+        self.placed: Scan | None = None
+        self.at_rest: Scan | None = None
+        self._pose: Registration | None = None
         self._alignment: Alignment | None = None
 
-    def frames(self, skin: Skin) -> Iterator[_Frame]:
-        from modiolus.scans.align import align_to_neutral, place, register_scan
+    def frames(self, skin: Skin) -> list[_Frame]:
+        from modiolus.scans.align import register_scan
+
+        if self._neutral is not None:
+            self._pose = register_scan(self._neutral, skin, self._unit, self._pairs)
+            self.at_rest = self._neutral.placed(self._pose)
+        return [
+            _Frame(
+                folder_name(str(file), name), number / self._rate, partial(self._target, skin, file)
+            )
+            for number, (name, file) in enumerate(self._files.items())
+        ]
+
+    def _target(self, skin: Skin, file: Path) -> Target:
+        from modiolus.scans.align import align_to_neutral, place
         from modiolus.scans.scan import read_scan
         from modiolus.scans.target import ScanTarget
 
-        pose, at_rest = None, None
-        if self._neutral is not None:
-            pose = register_scan(self._neutral, skin, self._unit, self._pairs)
-            at_rest = self._neutral.placed(pose)
-        for number, (name, file) in enumerate(self._files.items()):
-            scan = read_scan(file) if number else self._first
-            if pose is None or self._neutral is None:
-                placed, _, self._alignment = place(scan, skin, None, self._unit, self._pairs)
-            else:
-                self._alignment = align_to_neutral(scan, self._neutral, skin, pose)
-                placed = scan.placed(self._alignment.pose)
-            target = ScanTarget(skin, placed, at_rest)
-            yield _Frame(folder_name(str(file), name), number / self._rate, target, placed, at_rest)
+        scan = self._first if self.count == 1 else read_scan(file)
+        if self._neutral is None or self._pose is None:
+            self.placed, _, self._alignment = place(scan, skin, None, self._unit, self._pairs)
+        else:
+            self._alignment = align_to_neutral(scan, self._neutral, skin, self._pose)
+            self.placed = scan.placed(self._alignment.pose)
+        return ScanTarget(skin, self.placed, self.at_rest)
 
     def facts(self) -> dict[str, Any]:
-        assert self._alignment is not None
         if self.count > 1:
             return {"scans": str(self.path)}
+        assert self._alignment is not None
         return {"scan": str(self.path), "alignment": self._alignment.as_dict()}
 
 
 class _Markers:
     """Markers, of one frame or several."""
+
+    placed: Scan | None = None
+    at_rest: Scan | None = None
 
     def __init__(
         self, path: Path, neutral: Path | None, rate: float, unit: str | None, pairs: Pairs
@@ -258,7 +282,7 @@ class _Markers:
         self.name = folder_name(str(path), path.stem)
         self._facts: dict[str, Any] = {}
 
-    def frames(self, skin: Skin) -> Iterator[_Frame]:
+    def frames(self, skin: Skin) -> list[_Frame]:
         from modiolus.scans.markers import bind
 
         first = self._frames[0]
@@ -269,9 +293,14 @@ class _Markers:
             "scale": round(marked.pose.scale, 6),
         }
         width = len(str(self.count))
-        for number, frame in enumerate(self._frames, 1):
-            name = self.name if self.count == 1 else f"{self.name}-{number:0{width}d}"
-            yield _Frame(name, frame.time, marked.target(frame))
+        return [
+            _Frame(
+                self.name if self.count == 1 else f"{self.name}-{number:0{width}d}",
+                frame.time,
+                partial(marked.target, frame),
+            )
+            for number, frame in enumerate(self._frames, 1)
+        ]
 
     def facts(self) -> dict[str, Any]:
         return self._facts
@@ -287,8 +316,13 @@ def _write_frame(
     single: bool,
 ) -> None:
     """Write what was found of a frame: an expression, and the state."""
+    from modiolus.mechanics.face import FaceSettings
     from modiolus.scans.result import STATE_FILE, save_state
+    from modiolus.scans.unknown import FURTHER, JAW
 
+    tissue: dict[str, Any] = {
+        name: found.values[name] for name in FURTHER if name in found.values and name != JAW
+    }
     (folder / f"{frame.name}.toml").write_text(
         expression_toml(frame.name, source, found), encoding="utf-8"
     )
@@ -302,6 +336,7 @@ def _write_frame(
         found.state.activations,
         found.state.load.jaw,
         None if single else frame.time,
+        FaceSettings(**tissue),
     )
 
 
@@ -331,12 +366,12 @@ def _write_single(
     ]
     notes = [describe_certainty(record)]
     rms = found.history[-1]
-    if frame.scan is None:
+    if measured.placed is None:
         draw_face(scene, rest, moved, title, folder / "face.png", jaw)
         picture = "face.png"
         record["rms_mm"] = round(rms, 4)
     else:
-        result = compare(skin, moved, frame.scan.placed(found.pose), frame.neutral)
+        result = compare(skin, moved, measured.placed.placed(found.pose), measured.at_rest)
         picture = "compare.png"
         draw_comparison(scene, rest, moved, result, title, folder / picture, jaw)
         record |= result.as_dict()

@@ -110,6 +110,7 @@ class Runner:
             state.pressure,
             state.activations,
             jaw,
+            settings=self.face.settings,
         )
         names = {
             "picture": "face.png",

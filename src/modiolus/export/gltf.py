@@ -32,6 +32,7 @@ def write_glb(
     targets: Mapping[str, Mapping[str, Array]],
     attribution: str = "",
     keys: tuple[Array, Array] | None = None,
+    between: Mapping[str, tuple[str, float]] | None = None,
 ) -> None:
     """Write surfaces with their morph targets as one binary glTF file.
 
@@ -47,12 +48,16 @@ def write_glb(
         Who made the anatomy and under which licence.
     keys : (times (m,), weights (m, n)), optional
         Of an animation: at each time (s) the strength of every target, such as `in_turn` returns.
+    between : mapping of str to (str, float), optional
+        Targets that are in-betweens of others: of which, and at what strength. They are written
+        as corrections, which added at full strength to the other's at its strength give the
+        vertices.
 
     Raises
     ------
     InputError
-        There is no shape or an empty one, a target does not fit its shape, or shapes that are to
-        be animated together have other targets.
+        There is no shape or an empty one, a target does not fit its shape or is between what
+        there is not, or shapes that are to be animated together have other targets.
     OSError
         The file cannot be written.
     """
@@ -64,26 +69,35 @@ def write_glb(
             raise InputError(f"targets: {names.count(name)} shapes are called {name}; name one")
     writer = _Writer()
     for shape in shapes:
-        writer.add(shape, targets.get(shape.name, {}))
+        writer.add(shape, targets.get(shape.name, {}), between or {})
     if keys is not None:
         writer.animate(*keys)
     writer.save(path, attribution)
 
 
-def in_turn(count: int, seconds: float) -> tuple[Array, Array]:
+def in_turn(count: int, seconds: float, between: int = 0) -> tuple[Array, Array]:
     """Return the keys of an animation in which targets come and go, one after the other.
 
     Parameters
     ----------
     count : int
-        Number of targets.
+        Number of targets, each followed by its in-betweens.
     seconds : float
         Time that each of them has.
+    between : int
+        Number of evenly spaced in-betweens of a target, each a correction as `write_glb` makes
+        it: at full strength where the target has its share, and at none at the next one's.
     """
-    # At rest at the even keys, and at the full strength of one target at each odd one.
-    weights = np.zeros((2 * count + 1, count))
-    weights[1::2] = np.eye(count)
-    return np.linspace(0.0, count * seconds, 2 * count + 1), weights
+    # A target comes in so many steps, and goes in as many.
+    steps = between + 1
+    weights = np.zeros((2 * steps * count + 1, steps * count))
+    for target in range(count):
+        for step in range(1, 2 * steps):
+            key = weights[2 * steps * target + step, steps * target : steps * (target + 1)]
+            done = min(step, 2 * steps - step)
+            key[0] = done / steps
+            key[done % steps] = 1.0
+    return np.linspace(0.0, count * seconds, len(weights)), weights
 
 
 class _Writer:
@@ -123,7 +137,12 @@ class _Writer:
         single = np.ascontiguousarray(array, dtype=np.float32)
         return self.accessor(single, pygltflib.VEC3, pygltflib.ARRAY_BUFFER, bounds)
 
-    def add(self, shape: Shape, targets: Mapping[str, Array]) -> None:
+    def add(
+        self,
+        shape: Shape,
+        targets: Mapping[str, Array],
+        between: Mapping[str, tuple[str, float]],
+    ) -> None:
         """Add a shape as a node of its own."""
         gltf = self.gltf
         normals = vertex_normals(shape.vertices, shape.faces) @ _TO_GLTF
@@ -142,11 +161,19 @@ class _Writer:
                 down, pygltflib.VEC2, pygltflib.ARRAY_BUFFER, False
             )
         triangles = np.ascontiguousarray(shape.faces, dtype=np.uint32).reshape(-1)
-        morphs = []
+        changes: dict[str, tuple[Array, Array]] = {}
         for name, vertices in targets.items():
             numbers(name, vertices, *shape.vertices.shape)
             moved = (vertices - shape.vertices) @ _TO_GLTF * _MM_TO_M
-            turned = vertex_normals(vertices, shape.faces) @ _TO_GLTF - normals
+            changes[name] = moved, vertex_normals(vertices, shape.faces) @ _TO_GLTF - normals
+        morphs = []
+        for name, (moved, turned) in changes.items():
+            if name in between:
+                whole, share = between[name]
+                if whole not in changes:
+                    raise InputError(f"{name}: in-between of {whole}, which is no target; add it")
+                moved = moved - share * changes[whole][0]
+                turned = turned - share * changes[whole][1]
             morphs.append(
                 {"POSITION": self.vectors(moved, bounds=True), "NORMAL": self.vectors(turned)}
             )

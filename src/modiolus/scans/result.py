@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..errors import InputError
 from ..face.expression import resolve
 from ..face.head import Head, read_arrays
 from ..face.jaw import opening
+from ..mechanics.face import FaceSettings
 
 __all__ = ["STATE_FILE", "Result", "load_result", "save_state"]
 
@@ -40,6 +42,7 @@ class Result:
         Angle in radians by which the jaw is open.
     time : float or None
         In seconds, of a frame of a sequence.
+    settings : FaceSettings
     """
 
     expression: str
@@ -49,6 +52,7 @@ class Result:
     activations: dict[str, float]
     jaw: float
     time: float | None = None
+    settings: FaceSettings = field(default_factory=FaceSettings)
 
 
 def _digest(head: Head) -> str:
@@ -65,6 +69,7 @@ def save_state(
     activations: dict[str, float],
     jaw: float,
     time: float | None = None,
+    settings: FaceSettings | None = None,
 ) -> None:
     """Write a state as plain arrays.
 
@@ -84,6 +89,7 @@ def save_state(
         Angle in radians by which the jaw is open.
     time : float, optional
         In seconds, of a frame of a sequence.
+    settings : FaceSettings, optional
     """
     np.savez_compressed(
         path,
@@ -96,6 +102,7 @@ def save_state(
         muscles=np.array(list(activations), dtype="U64"),
         activations=np.array(list(activations.values()), dtype=float),
         jaw=np.array(jaw),
+        settings=np.array(json.dumps(asdict(settings or FaceSettings()))),
         **({} if time is None else {"time": np.array(time)}),
     )
 
@@ -127,6 +134,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         same = str(arrays["digest"]) == _digest(chosen)
         expression, jaw = str(arrays["expression"]), float(arrays["jaw"])
         time = float(arrays["time"]) if "time" in arrays else None
+        given = json.loads(str(arrays["settings"]))
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
             raise
@@ -142,6 +150,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
     try:
         resolve(activations, chosen.muscles)
         opening(np.degrees(jaw), "jaw")
-    except InputError as error:
+        settings = FaceSettings(**given)
+    except (InputError, TypeError) as error:
         raise InputError(f"{path}: {error}") from None
-    return Result(expression, chosen, parameters, pressure, activations, jaw, time)
+    return Result(expression, chosen, parameters, pressure, activations, jaw, time, settings)
