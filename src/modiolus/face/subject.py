@@ -284,10 +284,10 @@ def fit_muscle(muscle: Muscle, surfaces: Sequence[Surface], plane: float) -> Mus
         if np.abs(points[local == number, 0] - plane).max() < 0.05:
             held |= symmetry_plane(mesh, np.array([element]), axis, side)
     data = [_samples(surface) for surface in surfaces]
-    for weight, reach in _STEPS:
-        there = replace(skin, parameters=mesh.parameters)
-        points = there.evaluate(local, flat)
-        tangents = there.jacobian(local, flat)
+    for stiffness, reach in _STEPS:
+        current = replace(skin, parameters=mesh.parameters)
+        points = current.evaluate(local, flat)
+        tangents = current.jacobian(local, flat)
         normals = outward[local][:, None] * np.cross(tangents[:, :, 0], tangents[:, :, 1])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         own = np.hstack([points, 0.5 * _TURN * normals])
@@ -295,36 +295,18 @@ def fit_muscle(muscle: Muscle, surfaces: Sequence[Surface], plane: float) -> Mus
         targets = []
         for samples, facing, known in data:
             far, index = known.query(own)
-            near = far < reach
-            share = 1.0 / len(data)
-            targets.append(
-                PointTarget(
-                    "given",
-                    elements[near],
-                    xi[near],
-                    samples[index[near]],
-                    share,
-                    normals[near],
-                    _SLIDING,
-                )
-            )
-            far, index = tree.query(np.hstack([samples, 0.5 * _TURN * facing]))
+            here = np.flatnonzero(far < reach)
+            far, back = tree.query(np.hstack([samples, 0.5 * _TURN * facing]))
             near = far < reach
             # Both directions weigh the same, however many samples a surface has.
-            share *= len(own) / len(samples)
-            index = index[near]
-            targets.append(
-                PointTarget(
-                    "given",
-                    elements[index],
-                    xi[index],
-                    samples[near],
-                    share,
-                    normals[index],
-                    _SLIDING,
-                )
-            )
-        smoothing = Smoothing(first=_FIRST * weight, second=weight, relative=True)
+            for at, there, share in (
+                (here, samples[index[here]], 1.0),
+                (back[near], samples[near], len(own) / len(samples)),
+            ):
+                weight = share / len(data)
+                place = elements[at], xi[at], there
+                targets.append(PointTarget("given", *place, weight, normals[at], _SLIDING))
+        smoothing = Smoothing(first=_FIRST * stiffness, second=stiffness, relative=True)
         finer = unfolded(mesh, targets, smoothing, held)[0]
         if not least_jacobian(finer) > _LEAST_JACOBIAN:
             break
