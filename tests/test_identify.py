@@ -2,10 +2,12 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pygltflib
 import pytest
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from modiolus.anatomy.surface import Surface
@@ -17,10 +19,11 @@ from modiolus.fitting.register import Registration
 from modiolus.mechanics import Continuation, Load, Settings, State
 from modiolus.mechanics.face import Face, FaceSettings, face_problem
 from modiolus.scans.align import place
-from modiolus.scans.identify import Identification, _certainty, _Point, identify
+from modiolus.scans.identify import Identification, _covariance, _noise, _Point, identify
 from modiolus.scans.markers import Frame, bind, read_markers
 from modiolus.scans.result import load_result
 from modiolus.scans.scan import Scan
+from modiolus.scans.sequence import follow, smoothed
 from modiolus.scans.skin import Skin
 from modiolus.scans.target import MarkerTarget, Matches, ScanTarget
 from modiolus.scans.unknown import Driven, Unknown, muscle_set, unknowns
@@ -129,6 +132,57 @@ def test_sides_are_told_apart(block_head):
     assert found.values["strap_right"] == pytest.approx(0.1, abs=0.03)
 
 
+def test_smoothed_values_weigh_what_frames_tell_against_changes():
+    rng = np.random.default_rng(1)
+    items = [Unknown("a", -9.0, 9.0, 1.0), Unknown("b", 0.0, 9.0, 0.2)]
+    times, values = np.array([0.0, 0.5, 0.6, 2.0]), rng.standard_normal((4, 2))
+    root = rng.standard_normal((4, 2, 2))
+    covariances = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
+
+    def cost(flat):
+        q = flat.reshape(4, 2)
+        apart = np.einsum("ti,tij,tj", q - values, np.linalg.inv(covariances), q - values)
+        return (
+            apart + 0.3 * ((np.diff(q, axis=0) / [1.0, 0.2]) ** 2 / np.diff(times)[:, None]).sum()
+        )
+
+    best = minimize(cost, values.ravel(), tol=1e-12).x.reshape(4, 2)
+    found = smoothed(times, values, covariances, items, 0.3)
+    assert found == pytest.approx(np.clip(best, [-9.0, 0.0], 9.0), abs=1e-5)
+    # Nothing lags behind: backwards in time it is the same.
+    back = smoothed(-times[::-1], values[::-1], covariances[::-1], items, 0.3)[::-1]
+    assert back == pytest.approx(found, abs=1e-12)
+    assert np.ptp(smoothed(times, values, covariances, items, 1e6)[:, 0]) < 1e-3
+    assert np.array_equal(smoothed(times[:1], values[:1], covariances[:1], items, 0.3), values[:1])
+
+
+def test_a_sequence_is_smoothed_and_frames_that_fail_are_told(block_head):
+    face, skin = Face(block_head), Skin(block_head)
+    items = unknowns(block_head)
+    rng = np.random.default_rng(3)
+    held = face.solve({"strap": 0.3}).parameters
+    takes = []
+    for number in range(4):
+        target = markers_on(skin, held)
+        target.points += 0.5 * rng.standard_normal(target.points.shape)
+        takes.append(SimpleNamespace(time=0.1 * number, target=lambda target=target: target))
+
+    def lost():
+        raise InputError("frame 2: too few markers; give more")
+
+    takes[1].target = lost
+    alone, steady = (list(follow(face, takes, items, span)) for span in (0.0, 200.0))
+    assert all(frame is take for (frame, _), take in zip(steady, takes, strict=True))
+    assert "too few" in str(steady[1][1]) and "too few" in str(alone[1][1])
+    met = [0, 2, 3]
+    own, even = (np.array([found[k][1].values["strap"] for k in met]) for found in (alone, steady))
+    assert np.ptp(even) < 0.5 * np.ptp(own)
+    assert np.abs(even - 0.3).max() < np.abs(own - 0.3).max()
+    # What is returned is the face at these values.
+    again = face.solve({"strap": even[2]}).parameters
+    assert np.abs(again - steady[3][1].state.parameters).max() < 0.02
+
+
 def objective(driven, target, unknown, path, values):
     """Energy of the whole objective at some values, from an equilibrium nearby."""
     trial = Continuation(driven.problem(values), path.state, settings=path.settings)
@@ -192,23 +246,46 @@ def test_the_gradient_of_the_distances_agrees_with_finite_differences(taro, skin
         assert abs(gradient) > 1e-3
 
 
-def test_certainty_names_muscles_that_do_the_same():
+def found_with(covariance):
+    items = tuple(Unknown(name, 0.0, 1.0, 1.0) for name in "abc")
+    values = dict.fromkeys("abc", 0.5)
+    return Identification(items, values, covariance, None, None, STILL, (0.3,), 1)
+
+
+@pytest.mark.parametrize("alike", [1, 10])
+def test_the_covariance_is_that_of_least_squares(alike):
+    """For noise of one, which ten points of a patch share or each has of its own."""
     rng = np.random.default_rng(5)
-    n = 400
-    slopes = rng.standard_normal((n, 2))
-    matrix = np.hstack([slopes, slopes[:, :1] + 1e-2 * rng.standard_normal((n, 1))])
-    matrix = np.hstack([matrix, rng.standard_normal((n, 7))])
-    feet = type("Feet", (), {"points": 200.0 * rng.random((n, 3))})()
-    point = _Point.__new__(_Point)
-    point.matches = Matches(
-        feet, np.zeros((n, 3)), 0.3 * np.ones(n), 50.0 * rng.random((n, 3)), np.full(n, 1.0 / n)
-    )
-    point.mean, point.pose_cost, point.scales = 0.09, 1.0, np.ones(3)
-    point.units = np.ones(7)
-    point.unknowns = [Unknown(name, 0.0, 1.0, 1.0) for name in "abc"]
-    deviations, pairs = _certainty(matrix, point)
-    assert [set(pair[:2]) for pair in pairs] == [{"a", "c"}] and pairs[0][2] < -0.99
-    assert deviations["a"] > 10.0 * deviations["b"]
+    patches = 400
+    place = np.repeat(np.arange(patches), 10)
+    n = len(place)
+    points = 20.0 * np.stack([place % 20, place // 20, 0 * place], axis=1)
+    points += rng.uniform(-5.0, 5.0, points.shape)
+    slopes = rng.standard_normal((patches, 10))[place]
+    slopes[:, 2] = slopes[:, 0] + 0.1 * rng.standard_normal(patches)[place]
+    feet = type("Feet", (), {"points": points})()
+    found = []
+    for _ in range(20):
+        noise = rng.standard_normal(n if alike == 1 else patches)
+        noise = noise if alike == 1 else noise[place]
+        # As at the end of a search.
+        left = noise - slopes @ np.linalg.lstsq(slopes, noise, rcond=None)[0]
+        point = _Point.__new__(_Point)
+        point.matches = Matches(feet, np.zeros((n, 3)), left, points, np.full(n, 1.0 / n))
+        point.mean, point.noise = point.matches.mean, _noise(point.matches)
+        point.pose_cost, point.scales, point.units = 0.0, np.full(3, 0.5), np.ones(7)
+        point.values = np.zeros(3)
+        found.append(_covariance(slopes, point))
+    true = alike * np.linalg.inv(slopes.T @ slopes)[:3, :3]
+    assert np.mean(found, axis=0).ravel() == pytest.approx(true.ravel(), rel=0.1, abs=1e-4)
+
+    items = tuple(Unknown(name, 0.0, 1.0, 1.0) for name in "abc")
+    values = dict.fromkeys("abc", 0.5)
+    told = Identification(items, values, found[0], None, None, STILL, (1.0,), 1)
+    assert [set(pair[:2]) for pair in told.correlated] == [{"a", "c"}]
+    assert told.correlated[0][2] < -0.98
+    assert {"a", "c"} <= {*told.unsure}
+    assert told.deviations["a"] > 5.0 * told.deviations["b"]
 
 
 def test_scans_that_cannot_be_matched_are_refused(taro, skin, block_head):
@@ -340,10 +417,10 @@ def test_a_sequence_becomes_a_table_expressions_and_an_animation(
             raise SolveError("the second frame: not met")
         load = Driven(face, items).load(np.array(list(values.values())))
         state = State(taro.tissue, moved[number], np.zeros(0), np.zeros((252, 0), int), load)
-        few = dict.fromkeys(values, 0.01)
-        return Identification(values, state, STILL, (1.0, 0.5), few, (), ("mentalis",), 2)
+        unsure = np.diag([0.1 * (u.name == "mentalis") + 0.001 for u in items]) ** 2
+        return Identification(tuple(items), values, unsure, state, state, STILL, (1.0, 0.5), 2)
 
-    monkeypatch.setattr("modiolus.scans.identify.identify", found)
+    monkeypatch.setattr("modiolus.scans.sequence.identify", found)
     monkeypatch.setattr(Face, "half", property(lambda face: None))
     monkeypatch.setattr(
         "modiolus.scans.unknown.face_load",

@@ -24,7 +24,7 @@ __all__ = ["MarkerTarget", "Matches", "ScanTarget", "Target"]
 Array = NDArray[np.float64]
 
 #: Points of the scan and of the skin that are matched.
-_POINTS = 4000
+_POINTS = 16000
 #: Nearer than this (mm) a distance has no direction but the normal.
 _TOUCHING = 1e-5
 #: Points of a scan farther than this (mm) from the skin are no counterparts of it.
