@@ -17,7 +17,7 @@ from modiolus.errors import InputError, unknown_name
 if TYPE_CHECKING:
     from modiolus.mechanics.face import FaceSettings
 
-__all__ = ["app", "assignments", "face_settings", "show"]
+__all__ = ["app", "assignments", "examples", "face_settings", "show"]
 
 app = typer.Typer(
     name="modiolus",
@@ -49,6 +49,12 @@ Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no messages.")]
+
+
+def examples(*commands: str) -> str:
+    """Return the end of a command's help: examples to copy, one a line."""
+    # The first character keeps the lines as they are.
+    return "\n".join(["\b", "Examples:" if len(commands) > 1 else "Example:", *commands])
 
 
 def show(record: Mapping[str, Any], text: str, as_json: bool, quiet: bool) -> None:
@@ -117,19 +123,20 @@ def _modiolus(
 
 
 # Each module adds its command to `app`; here at the end, because they need it.
-from modiolus.cli import (  # noqa: E402, F401
-    beam,
-    bench,
+# Their order is that of the help.
+from modiolus.cli import (  # noqa: E402, F401, I001
+    simulate,
     catalogue,
-    compare,
-    converge,
     export,
     heads,
-    identify,
     morph,
     segment,
-    simulate,
     upright,
+    compare,
+    identify,
     validate,
     verify,
+    converge,
+    bench,
+    beam,
 )

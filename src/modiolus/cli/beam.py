@@ -9,13 +9,13 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from modiolus.cli.app import Json, Out, Quiet, app, show
+from modiolus.cli.app import Json, Out, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.progress import Progress
 
 
-@app.command(epilog="Example: modiolus beam --angle 36 --out out")
+@app.command(epilog=examples("modiolus beam --angle 36 --out out"))
 def beam(
     angle: Annotated[
         float, typer.Option("--angle", help="Of the fibres to the axis of the beam, in degrees.")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modiolus.cli.app import HeadName, Json, Quiet, app, show
+from modiolus.cli.app import HeadName, Json, Quiet, app, examples, show
 from modiolus.errors import InputError
 from modiolus.progress import Progress
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 WARM = 0.9
 
 
-@app.command(epilog="Example: modiolus bench smile-closed --json")
+@app.command(epilog=examples("modiolus bench smile-closed --json"))
 def bench(
     names: Annotated[
         list[str] | None,
@@ -47,7 +47,9 @@ def bench(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure imports, set-up, the parts of an iteration and whole expressions.
+    """Measure where the time of a computation goes.
+
+    Imports, set-up, the parts of an iteration, and whole expressions.
 
     An expression is solved cold, from rest, and warm, from there to 0.9 times its activations. The
     parts of an iteration stand beside the least time in which the machine could do them.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modiolus.cli.app import HeadName, Json, Out, Quiet, Setting, app, face_settings, show
+from modiolus.cli.app import HeadName, Json, Out, Quiet, Setting, app, examples, face_settings, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import SolveError
 
@@ -16,7 +16,7 @@ from modiolus.errors import SolveError
 ALONE = {"strap": 1.0, "sheet": 0.2, "ring": 0.15}
 
 
-@app.command(epilog="Example: modiolus catalogue --out out")
+@app.command(epilog=examples("modiolus catalogue --out out"))
 def catalogue(
     settings: Setting = [],  # noqa: B006
     head: HeadName = "taro",

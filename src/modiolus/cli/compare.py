@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.app import Json, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.progress import Progress
 
@@ -23,7 +23,7 @@ Landmarks = Annotated[
 
 
 @app.command(
-    epilog="Example: modiolus compare out/smile-closed --scan smile.ply --neutral neutral.ply"
+    epilog=examples("modiolus compare out/smile-closed --scan smile.ply --neutral neutral.ply")
 )
 def compare(
     result: Annotated[

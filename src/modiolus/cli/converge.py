@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from modiolus.cli.app import HeadName, Json, Quiet, app, show
+from modiolus.cli.app import HeadName, Json, Quiet, app, examples, show
 from modiolus.progress import Progress
 
 
 @app.command(
-    epilog="Examples: modiolus converge smile-closed · modiolus converge sad --quick --json"
+    epilog=examples("modiolus converge smile-closed", "modiolus converge sad --quick --json")
 )
 def converge(
     expression: Annotated[
@@ -27,9 +27,10 @@ def converge(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Tell how far mesh, quadrature, penalties and steps move the result of an expression.
+    """Tell how far mesh, rules and penalties move an expression.
 
-    Each row changes one thing and is compared with the default over the skin.
+    Each row changes one thing, of mesh, quadrature, penalties and steps, and is compared with the
+    default over the skin.
     """
     from modiolus.face.expression import Expression, resolve
     from modiolus.face.head import Head

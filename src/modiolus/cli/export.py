@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.app import Json, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError, SolveError
 
@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
 
 @app.command(
-    epilog="Examples: modiolus export taro --ex out/ex · "
-    "modiolus export out/sad out/terror --glb out/faces --seconds 2 --inbetweens 1"
+    epilog=examples(
+        "modiolus export taro --ex out/ex",
+        "modiolus export out/sad out/terror --glb out/faces --seconds 2 --inbetweens 1",
+    )
 )
 def export(
     sources: Annotated[
@@ -65,7 +67,7 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a head or a result as EX files, or results of a head as shape keys of one model.
+    """Write results as shape keys of a model, or as EX files.
 
     Zinc, its applications and CMGUI read EX files; Blender and other animation programs read glb.
     """

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
+from modiolus.cli.app import HeadName, Json, Out, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError
 from modiolus.files import folder_name
@@ -19,11 +19,15 @@ from modiolus.progress import Progress
 if TYPE_CHECKING:
     from modiolus.anatomy.surface import Surface
 
-_head = typer.Typer(help="Look at a head.", rich_markup_mode=None, no_args_is_help=True)
+_head = typer.Typer(
+    help="Look at a head, or at the differences of two.",
+    rich_markup_mode=None,
+    no_args_is_help=True,
+)
 app.add_typer(_head, name="head")
 
 
-@app.command(epilog="Examples: modiolus heads · modiolus heads heads/ --json")
+@app.command(epilog=examples("modiolus heads", "modiolus heads heads/ --json"))
 def heads(
     folder: Annotated[
         Path | None,
@@ -33,7 +37,7 @@ def heads(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List the heads that come with modiolus, and those in a folder.
+    """List the shipped heads, and those in a folder.
 
     Each with its subject, source, licence, and how far its skin is from the surface it was fitted
     to.
@@ -76,14 +80,17 @@ def _fit(quality: Mapping[str, Any]) -> str:
     return "fit not stated"
 
 
-@_head.command("show", epilog="Example: modiolus head show --head taro --out out")
+@_head.command("show", epilog=examples("modiolus head show --head taro --out out"))
 def head_show(
     head: HeadName = "taro",
     out: Out = Path("out"),
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw every muscle of a head into OUT/head-<name>/, and say what of it was given."""
+    """Draw the muscles of a head, and say what of it was given.
+
+    Writes OUT/head-<name>/ with the picture and report.json.
+    """
     from modiolus.face.head import Head
     from modiolus.face.provenance import provenance_lines
     from modiolus.view.muscles import draw_muscles
@@ -108,13 +115,13 @@ def head_show(
     show(record, text, as_json, quiet)
 
 
-@_head.command("diff", epilog="Example: modiolus head diff taro heads/mine")
+@_head.command("diff", epilog=examples("modiolus head diff taro heads/mine"))
 def head_diff(
     one: Annotated[str, typer.Argument(metavar="HEAD", help="A shipped head, or a folder.")],
     other: Annotated[str, typer.Argument(metavar="OTHER", help="The head to compare it with.")],
     as_json: Json = False,
 ) -> None:
-    """Say how far two heads of one template are from each other, part by part."""
+    """Say how far two heads of one template are apart."""
     from dataclasses import asdict
 
     from modiolus.face.differences import differences, differences_text
@@ -130,9 +137,11 @@ def head_diff(
 
 
 @app.command(
-    epilog="Examples: modiolus build path/to/bodyparts3d --out heads/mine · "
-    "modiolus build anna --out heads/anna · "
-    "modiolus build anna/skin.ply labels.nii.gz --labels names.toml --out heads/anna"
+    epilog=examples(
+        "modiolus build path/to/bodyparts3d --out heads/mine",
+        "modiolus build anna --out heads/anna",
+        "modiolus build anna/skin.ply labels.nii.gz --labels names.toml --out heads/anna",
+    )
 )
 def build(
     anatomy: Annotated[

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from modiolus.cli.app import HeadName, Json, Out, Quiet, app, show
+from modiolus.cli.app import HeadName, Json, Out, Quiet, app, examples, show
 from modiolus.cli.compare import (
     Landmarks,
     Unit,
@@ -51,8 +51,10 @@ Further = Annotated[
 
 
 @app.command(
-    epilog="Examples: modiolus identify --head heads/anna --scan smile.ply --neutral neutral.ply "
-    "--muscles smile-closed · modiolus identify --head heads/anna --markers take.csv --rate 120"
+    epilog=examples(
+        "modiolus identify --head heads/anna --scan smile.ply --neutral neutral.ply",
+        "modiolus identify --head heads/anna --markers take.csv --rate 120",
+    )
 )
 def identify(
     scan: Annotated[
@@ -113,7 +115,7 @@ def identify(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the activations with which a head looks like a scan, or like markers.
+    """Find the activations that explain a scan or markers.
 
     The head should be that of the person (see modiolus morph). Writes OUT/identify-<name>/ with
     <name>.toml, an expression for modiolus simulate, state.npz, pictures and report.json; of a

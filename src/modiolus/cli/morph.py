@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.app import Json, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError, SolveError
 from modiolus.files import folder_name
@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 
 
 @app.command(
-    epilog="Examples: modiolus morph taro --to face.ply --out heads/anna · "
-    "modiolus morph taro --to face.obj --landmarks points.csv --out heads/anna --json"
+    epilog=examples(
+        "modiolus morph taro --to face.ply --out heads/anna",
+        "modiolus morph taro --to face.obj --landmarks points.csv --out heads/anna --json",
+    )
 )
 def morph(
     head: Annotated[
@@ -53,7 +55,7 @@ def morph(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Morph a head to the surface of a face and write it into the folder DIR.
+    """Morph a head to the surface of a face.
 
     The surface may have any pose and be in mm, cm or m. The head is called what the folder is
     called. When the result fails one of its gates nothing is written and the exit code is 1.

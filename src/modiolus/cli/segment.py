@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.app import Json, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.progress import Progress
@@ -24,8 +24,10 @@ _CLOUD = 2.0
 
 
 @app.command(
-    epilog="Examples: modiolus segment t1.nii.gz --out anna · "
-    "modiolus segment labels.nrrd --labels names.toml --out anna --json"
+    epilog=examples(
+        "modiolus segment t1.nii.gz --out anna",
+        "modiolus segment labels.nrrd --labels names.toml --out anna --json",
+    )
 )
 def segment(
     image: Annotated[
@@ -46,10 +48,11 @@ def segment(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the skin in a T1-weighted image, or the surfaces of a label map; write them to DIR.
+    """Find the skin in an image, or the surfaces of a label map.
 
-    Surfaces are in mm in the image's own frame, turned to LPS: +x the subject's left, +y
-    backwards, +z up. The report says which parts of the face the image does not show.
+    The skin is sought in a T1-weighted image. Surfaces are in mm in the image's own frame, turned
+    to LPS: +x the subject's left, +y backwards, +z up. The report says which parts of the face the
+    image does not show.
     """
     from modiolus.anatomy.image import read_image, simpleitk
 

@@ -17,6 +17,7 @@ from modiolus.cli.app import (
     Setting,
     app,
     assignments,
+    examples,
     face_settings,
     show,
 )
@@ -33,11 +34,15 @@ if TYPE_CHECKING:
 
 
 @app.command(
-    epilog="Examples: modiolus simulate smile-closed · modiolus simulate my.toml --json · "
-    "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5 · "
-    "modiolus simulate terror --jaw-open 12 · modiolus simulate smile-closed --palsy right · "
-    "modiolus simulate --activation risorius=1 --from out/smile-closed · "
-    "modiolus simulate sad --set sigma_max=250 --set skin=0"
+    epilog=examples(
+        "modiolus simulate smile-closed",
+        "modiolus simulate my.toml --json",
+        "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5",
+        "modiolus simulate terror --jaw-open 12",
+        "modiolus simulate smile-closed --palsy right",
+        "modiolus simulate --activation risorius=1 --from out/smile-closed",
+        "modiolus simulate sad --set sigma_max=250 --set skin=0",
+    )
 )
 def simulate(
     expression: Annotated[

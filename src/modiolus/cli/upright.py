@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.app import Json, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.files import folder_name
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modiolus.face.head import Head
 
 
-@app.command(epilog="Example: modiolus upright taro --out heads/taro-upright")
+@app.command(epilog=examples("modiolus upright taro --out heads/taro-upright"))
 def upright(
     head: Annotated[
         str,
@@ -43,7 +43,7 @@ def upright(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Turn a head that was measured lying face up upright and write it into the folder DIR.
+    """Turn a head that was measured lying face up upright.
 
     The shape without gravity is found whose equilibrium lying is the given shape; then it is
     loaded standing. Muscles and attachments follow. The head is called what the folder is called.

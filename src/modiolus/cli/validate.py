@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from modiolus.cli.app import Json, Out, Quiet, app, show
+from modiolus.cli.app import Json, Out, Quiet, app, examples, show
 from modiolus.cli.compare import Landmarks, Unit, text_table
 from modiolus.cli.identify import Further, expression_toml, identified, listed
 from modiolus.cli.outputs import whole_folder, write_report
@@ -23,7 +23,7 @@ PAPER = {"smile-closed": 0.88, "smile-open": 0.93, "sad": 1.43, "terror": 1.40}
 WAYS = ("hand", "table2", "all")
 
 
-@app.command(epilog="Example: modiolus validate scans/anna --activations hand --out out")
+@app.command(epilog=examples("modiolus validate scans/anna --activations hand --out out"))
 def validate(
     folder: Annotated[
         Path,
@@ -62,7 +62,7 @@ def validate(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compute the expressions that were measured and tell how far off they are.
+    """Compute expressions that were measured, and their errors.
 
     Writes OUT/validate-<folder>/ with a picture and an expression file for every row,
     validate.html and report.json.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modiolus.cli.app import Json, Quiet, app, show
+from modiolus.cli.app import Json, Quiet, app, examples, show
 from modiolus.errors import SolveError
 from modiolus.progress import Progress
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modiolus.verify import Check
 
 
-@app.command(epilog="Example: modiolus verify patch land-1")
+@app.command(epilog=examples("modiolus verify patch land-1"))
 def verify(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[CASE]...", help="All cases by default.")
@@ -27,9 +27,10 @@ def verify(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check the mechanics against closed forms, published results and itself.
+    """Check the mechanics against known solutions.
 
-    Every case runs through the same code as the face. The exit code is 1 when a check fails.
+    These are closed forms, published results and the mechanics itself. Every case runs through
+    the same code as the face. The exit code is 1 when a check fails.
     """
     from modiolus.verify import Check, choose
 
