@@ -89,7 +89,7 @@ def head_show(
 ) -> None:
     """Draw the muscles of a head, and say what of it was given.
 
-    Writes OUT/head-<name>/ with the picture and report.json.
+    Writes OUT/head-<name>/muscles.png.
     """
     from modiolus.face.head import Head
     from modiolus.face.provenance import provenance_lines
