@@ -132,6 +132,7 @@ def test_bad_input_is_one_line(run, tmp_path, arguments, words, as_json):
         ("[activations]\nmentalis = 'much'\n", ["mentalis", "0 to 1"]),
         ("[activations]\nmentalis = true\n", ["mentalis", "0 to 1"]),
         ("[activations]\nmentalis = nan\n", ["mentalis", "nan"]),
+        ("[activations]\nmentalis = 1.5\n", ["my.toml", "mentalis", "1.5", "0 to 1"]),
         ("[activations]\nmentallis = 0.2\n", ["mentallis", "did you mean mentalis"]),
         ("activation = 1\n[activations]\nmentalis = 0.2\n", ["activation", "activations"]),
     ],

@@ -334,6 +334,7 @@ def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
         (["wide", "none"], "none"),
         (["wide", "--seconds", "nan"], "--seconds"),
         (["wide", "--inbetweens", "10"], "--inbetweens 10"),
+        (["wide", "--cmgui"], "--cmgui"),
     ],
 )
 def test_what_makes_no_model_is_refused(states, tmp_path, monkeypatch, capsys, arguments, word):

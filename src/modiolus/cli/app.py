@@ -17,7 +17,7 @@ from modiolus.errors import InputError, unknown_name
 if TYPE_CHECKING:
     from modiolus.mechanics.face import FaceSettings
 
-__all__ = ["app", "assignments", "examples", "face_settings", "show"]
+__all__ = ["app", "assignments", "examples", "face_settings", "help_alone", "show"]
 
 app = typer.Typer(
     name="modiolus",
@@ -101,6 +101,12 @@ def face_settings(texts: Sequence[str]) -> FaceSettings:
         raise InputError(f"--set {error}") from None
 
 
+def help_alone(context: typer.Context) -> None:
+    """Print the help of a group of commands when none of them follows."""
+    if context.invoked_subcommand is None:
+        sys.stdout.write(context.get_help() + "\n")
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         sys.stdout.write(f"modiolus {__version__}\n")
@@ -118,8 +124,7 @@ def _modiolus(
     ] = False,
 ) -> None:
     """Muscle-driven faces: from anatomy to an animated head."""
-    if context.invoked_subcommand is None:
-        sys.stdout.write(context.get_help() + "\n")
+    help_alone(context)
 
 
 # Each module adds its command to `app`; here at the end, because they need it.

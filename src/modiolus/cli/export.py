@@ -73,6 +73,10 @@ def export(
     """
     if (ex is None) == (glb is None):
         raise InputError("--ex, --glb: give one of them, such as --glb out/faces")
+    if ex is not None and (seconds or inbetweens):
+        raise InputError("--seconds, --inbetweens: they are for --glb; leave them out with --ex")
+    if glb is not None and cmgui:
+        raise InputError("--cmgui: it is for --ex; leave it out with --glb")
     if not 0.0 <= seconds <= 60.0:
         raise InputError(f"--seconds {seconds:g}: not within 0 to 60; give a number in there")
     if not 0 <= inbetweens <= 9:

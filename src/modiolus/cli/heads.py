@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modiolus.cli.app import HeadName, Json, Out, Quiet, app, examples, show
+from modiolus.cli.app import HeadName, Json, Out, Quiet, app, examples, help_alone, show
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError
 from modiolus.files import folder_name
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 _head = typer.Typer(
     help="Look at a head, or at the differences of two.",
     rich_markup_mode=None,
-    no_args_is_help=True,
+    invoke_without_command=True,
+    callback=help_alone,
 )
 app.add_typer(_head, name="head")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..errors import InputError, unknown_name
 from ..files import folder_name, read_toml
-from .jaw import opening
+from .jaw import WIDEST
 
 __all__ = ["GROUPS", "Expression", "expression_names", "resolve"]
 
@@ -89,24 +89,23 @@ class Expression:
         for key in content:
             if key not in _KNOWN_KEYS:
                 raise InputError(f"{where}: {unknown_name('key', key, _KNOWN_KEYS)}")
-        jaw = _number(content.get("jaw_open", 0.0), f"{where}: jaw_open", "degrees")
-        opening(jaw, f"{where}: jaw_open")
+        jaw = _number(content.get("jaw_open", 0.0), f"{where}: jaw_open", WIDEST)
         table = content.get("activations", {})
         if not isinstance(table, dict) or not (table or jaw):
             raise InputError(
                 f"{where}: it has no activations; add a table [activations] with muscle = value"
             )
         activations = {
-            muscle: _number(value, f"{where}: activation of {muscle}", "a number within 0 to 1")
+            muscle: _number(value, f"{where}: activation of {muscle}", 1.0)
             for muscle, value in table.items()
         }
         title, source = str(content.get("title", "")), str(content.get("source", ""))
         return cls(name, activations, title, source, jaw)
 
 
-def _number(value: object, what: str, wanted: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{what} is {value!r}; give {wanted}")
+def _number(value: object, what: str, most: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= most:
+        raise InputError(f"{what} is {value!r}; give a number within 0 to {most:g}")
     return float(value)
 
 
