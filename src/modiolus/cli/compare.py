@@ -150,7 +150,10 @@ def describe_alignment(record: Mapping[str, Any]) -> str:
         f"{name.replace('_', ' ')} {value:.2f} mm" for name, value in record["zones"].items()
     )
     if not zones:
-        return "Aligned by the whole face: too little of the still parts is in the scan."
+        return (
+            "Aligned by the whole face: of the parts that keep still too little is in the scan, or "
+            "they are too unlike the head's."
+        )
     return (
         "Aligned on the parts that keep still; left out one at a time, they move the face by "
         f"{zones}."

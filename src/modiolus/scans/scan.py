@@ -31,6 +31,8 @@ _CLOUDS = (".xyz", ".txt", ".csv", ".asc", ".pts")
 _NEIGHBOURS = 18
 #: Directions (azimuth, elevation in degrees) from which a face is looked at.
 _CAMERAS = [(a, e) for a in (0.0, 45.0, -45.0, 80.0, -80.0) for e in (0.0, 30.0)]
+#: Points of a cloud that are farther than this many times the usual from their neighbours fly.
+_STRAY = 8.0
 #: Edges longer than this many times the spacing of the points bridge a gap.
 _BRIDGE = 4.0
 
@@ -314,6 +316,9 @@ def _read_rows(path: Path) -> Array:
 def _cloud(path: Path, points: Array) -> Scan:
     _check(path, points)
     points = np.unique(points, axis=0)
+    _check(path, points)
+    apart = cKDTree(points).query(points, k=7)[0].mean(axis=1)
+    points = points[apart < _STRAY * np.median(apart)]
     _check(path, points)
     normals, surface = _wrapped(points, path.name)
     return Scan(path.name, points, normals, surface, cloud=True)
