@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from modiolus import hermite
 from modiolus.errors import InputError
@@ -14,6 +15,8 @@ from modiolus.mechanics import (
     DeadForces,
     FibreQuadrature,
     Fibres,
+    GlidingFibres,
+    GlidingQuadrature,
     Load,
     Problem,
     RigidContact,
@@ -63,6 +66,16 @@ def scattered(mesh, n=40, muscles=2, seed=4):
     )
 
 
+def gliding(rule, each=4, seed=7):
+    """Fibres of some points each, of one muscle after the other."""
+    muscles = np.sort(rule.muscles)
+    fibres = 100 * muscles + np.arange(len(muscles)) // each
+    pulls = np.random.default_rng(seed).uniform(0.0, 0.04, len(muscles))
+    return GlidingQuadrature(
+        rule.elements, rule.xi, rule.weights, rule.directions, muscles, fibres, pulls
+    )
+
+
 MESH = distorted()
 LOAD = Load({"first": 0.7, "second": 0.2}, jaw=0.3)
 
@@ -75,9 +88,9 @@ def terms(mesh=MESH):
         "fibres": Fibres(
             mesh, scattered(mesh), ("first", "second"), FibreLaw(optimal=1.1), {"second": 0.9}
         ),
-        "gliding fibres": Fibres(
+        "gliding fibres": GlidingFibres(
             mesh,
-            replace(scattered(mesh), following=rng.uniform(0.0, [0.9, 0.1], (40, 2))),
+            gliding(scattered(mesh)),
             ("first", "second"),
             carry=lambda points, _: lambda load: points * (1.0 + load.jaw),
         ),
@@ -280,7 +293,7 @@ def test_at_rest_nothing_pushes():
     # The second muscle's passive fibres are taut at rest here, and nothing else acts.
     energies = passive_only.energies
     assert {k: v for k, v in energies.items() if k != "fibres"} == pytest.approx(
-        {"tissue": 0.0, "springs": 0.0, "contact": 0.0}, abs=1e-10
+        {"tissue": 0.0, "springs": 0.0, "contact": 0.0, "gliding fibres": 0.0}, abs=1e-10
     )
     assert p.penetration(rest.parameters) < 1e-12
 
@@ -309,32 +322,58 @@ def test_fibre_at_a_point_follows_the_closed_form():
 def test_a_gliding_fibre_spans_from_bone_to_tissue():
     axes = [[0.0, 10.0], [0.0, 1.0], [0.0, 1.0]]
     mesh = hermite.grid(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
-    share = np.array([0.1, 0.4, 0.8])
-    rule = FibreQuadrature(
-        np.zeros(3, dtype=int),
-        np.column_stack([share, [0.5] * 3, [0.5] * 3]),
-        np.full(3, 2.0),
-        np.tile([1.0, 0.0, 0.0], (3, 1)),
-        np.zeros(3, dtype=int),
-        np.column_stack([share, [0.1] * 3]),
+    along = np.array([0.1, 0.4, 0.7, 0.9])
+    nothing = np.zeros(4, dtype=int)
+    rule = GlidingQuadrature(
+        nothing,
+        np.column_stack([along, [0.5] * 4, [0.5] * 4]),
+        np.full(4, 1.5),
+        np.tile([1.0, 0.0, 0.0], (4, 1)),
+        nothing,
+        nothing,
+        # Bound to the tissue in two places, 8 mm from the bone on the mean.
+        np.array([0.0, 0.0, 0.5, 0.5]) / 8.0,
     )
 
     def carry(points, _):
         return lambda load: points + np.array([load.jaw, 0.0, 0.0])
 
     def pull(along, jaw):
-        fibres = Fibres(mesh, rule, ["only"], carry=carry)
+        fibres = GlidingFibres(mesh, rule, ["only"], carry=carry)
         moved = mesh.parameters.copy()
         moved[::8, 0] += along
         problem = Problem(mesh, [0.5, 0.0, 0.0], terms=[fibres])
         found = problem.evaluate(moved, np.zeros(8), Load({"only": 0.3}, jaw=jaw))
-        # What pulls on the tissue is the tension at the far end: 6 mm³ over 10 mm.
-        return found.energies["fibres"], problem.assembly.forces()[::8, 0].sum()
+        # What pulls on the tissue is the tension of the fibre: 6 mm³ over 8 mm.
+        return found.energies["gliding fibres"], problem.assembly.forces()[::8, 0].sum()
 
     law = FibreLaw().array()
     for along, jaw in ((0.0, 0.0), (1.5, 0.0), (-1.5, 0.0), (1.5, 1.5)):
-        psi, tension, _ = fibre(1.0 + 0.1 * (along - jaw), 0.3, 1.0, law)
-        assert pull(along, jaw) == pytest.approx((6.0 * psi, 0.6 * tension))
+        psi, tension, _ = fibre(1.0 + (along - jaw) / 8.0, 0.3, 1.0, law)
+        assert pull(along, jaw) == pytest.approx((6.0 * psi, 0.75 * tension))
+
+
+def test_a_gliding_fibre_turns_with_its_bone():
+    rule = gliding(scattered(MESH))
+    turn = Rotation.from_rotvec([0.2, -0.1, 0.4]).as_matrix()
+
+    def carry(points, _):
+        return lambda load: points @ turn.T + [1.0, 2.0, 3.0]
+
+    fibres = GlidingFibres(MESH, rule, ["first", "second"], carry=carry)
+    moved = MESH.parameters @ turn.T
+    moved[::8] += [1.0, 2.0, 3.0]
+    # Where tissue and bone turn together the fibres turn too, and none is stretched.
+    expected = fibres.quadrature.directions @ turn.T
+    np.testing.assert_allclose(fibres.vectors(moved, Load()), expected, atol=1e-12)
+
+
+def test_unsound_gliding_fibres_are_refused():
+    rule = gliding(scattered(MESH))
+    with pytest.raises(InputError, match="of several muscles"):
+        GlidingFibres(MESH, replace(rule, fibres=0 * rule.fibres), ["first", "second"])
+    with pytest.raises(InputError, match="bound nowhere"):
+        GlidingFibres(MESH, replace(rule, pulls=0.0 * rule.pulls), ["first", "second"])
 
 
 def test_contact_measures_gap_and_penetration():

@@ -66,14 +66,22 @@ def test_lengths_and_ends_of_a_beam():
     assert_allclose(volumes.sum() / 360.0, 0.12, atol=0.04)
 
 
-def test_a_gliding_muscle_leaves_its_bone_in_a_straight_line():
+def test_a_gliding_muscle_stretches_by_what_its_bound_part_moves():
     rule = beam().quadrature()
-    assert_array_equal(beam().following(rule), np.tile([1.0, 0.0], (96, 1)))
-    along = rule.points[:, 0] / 30.0
-    share, slope = replace(beam(), glide=0.8).following(rule).T
-    assert_allclose(share, np.minimum(along / 0.8, 1.0), rtol=1e-12)
-    assert_allclose(slope, np.where(along < 0.8, 1.0 / 24.0, 0.0), rtol=1e-12)
-    for wrong in (-0.1, 1.1, np.nan):
+    held = np.ones(len(rule.points), dtype=bool)
+    muscle = replace(beam(), glide=0.7)
+    fibres, pulls = muscle.pulls(rule, held)
+    assert_array_equal(pulls > 0.0, rule.points[:, 0] > 21.0)
+    lines = np.unique(np.column_stack([fibres, rule.points[:, 1:].round(6)]), axis=0)
+    assert len(lines) == fibres.max() + 1
+    # Stretched evenly from its bone, every fibre feels just that stretch.
+    stretch = np.bincount(fibres, pulls * 0.1 * rule.points[:, 0])
+    assert_allclose(stretch, 0.1, rtol=1e-12)
+    # What the tissue does not hold does not count.
+    held &= rule.points[:, 0] < 27.0
+    assert_allclose(np.bincount(*[fibres, muscle.pulls(rule, held)[1] * rule.points[:, 0]]), 1.0)
+    assert not muscle.pulls(rule, np.zeros_like(held))[1].any()
+    for wrong in (-0.1, 1.0, np.nan):
         with pytest.raises(InputError, match="share of the length"):
             replace(beam(), glide=wrong)
 

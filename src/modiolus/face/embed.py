@@ -42,36 +42,26 @@ CLEARANCE = (0.35, 0.1)
 #: nothing holds: it lies behind the upper lip, which the vestibule of the mouth parts from the gum,
 #: and in 62 % of people the muscle comes out of orbicularis oris there (Rohrich et al. 2000).
 ORIGINS: dict[str, tuple[float, float]] = {
-    "zygomaticus_major": (300.0, 0.12),
-    "zygomaticus_minor": (300.0, 0.12),
-    "levator_labii_superioris": (300.0, 0.12),
-    "levator_labii_superioris_alaeque_nasi": (300.0, 0.12),
-    "levator_anguli_oris": (300.0, 0.12),
-    "risorius": (300.0, 0.12),
+    **dict.fromkeys(
+        (
+            *("zygomaticus_major", "zygomaticus_minor", "levator_labii_superioris"),
+            *("levator_labii_superioris_alaeque_nasi", "levator_anguli_oris", "risorius"),
+            *("depressor_anguli_oris", "depressor_labii_inferioris", "mentalis"),
+            *("frontalis_medial", "frontalis_lateral", "corrugator_supercilii"),
+            *("procerus", "nasalis"),
+        ),
+        (300.0, 0.12),
+    ),
     "buccinator": (300.0, 0.3),
-    "depressor_anguli_oris": (2e4, 0.12),
-    "depressor_labii_inferioris": (3e4, 0.12),
-    "mentalis": (2e4, 0.12),
-    "frontalis_medial": (1e5, 0.12),
-    "frontalis_lateral": (1e5, 0.12),
-    "corrugator_supercilii": (2e4, 0.12),
-    "procerus": (2e4, 0.12),
-    "nasalis": (2e4, 0.12),
     "orbicularis_oculi_orbital": (2e4, 0.05),
     "orbicularis_oculi_palpebral": (2e4, 0.05),
 }
 
-#: Muscles that glide in the tissue, and the share of their length, from the bone, over which they
-#: do (`Muscle.following`). The tissue is one layer, but in life orbicularis oculi, SMAS and skin
-#: slide over the origins of these: held there, the layer could not follow any other muscle.
-GLIDES = dict.fromkeys(
-    (
-        *("zygomaticus_major", "zygomaticus_minor", "levator_labii_superioris"),
-        *("levator_labii_superioris_alaeque_nasi", "levator_anguli_oris", "risorius"),
-        *("buccinator", "depressor_septi_nasi"),
-    ),
-    0.8,
-)
+#: Share of its length, from the bone, over which a muscle that ends in the skin glides
+#: (`Muscle.pulls`); by the rest it is bound to the tissue. Muscles lie in sheaths of loose tissue,
+#: and orbicularis oculi, SMAS and skin slide over their origins: held there, the one layer of the
+#: mesh could follow no other muscle.
+GLIDE = 0.85
 
 #: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
 #: above it.
@@ -132,7 +122,9 @@ def bring_inside(muscle: Muscle, tissue: HermiteMesh, above: float = -np.inf) ->
         moved = _flow(muscle.mesh, tissue, above, back)
         if moved.scaled_jacobian(*_samples(moved)).min() > _LEAST_JACOBIAN:
             break
-    return replace(muscle, mesh=moved, slack=SLACK, glide=GLIDES.get(muscle.name, 0.0))
+    return replace(
+        muscle, mesh=moved, slack=SLACK, glide=GLIDE if muscle.name in INSERTIONS else 0.0
+    )
 
 
 def _samples(mesh: HermiteMesh) -> tuple[NDArray[np.int64], Array]:

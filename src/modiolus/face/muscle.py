@@ -55,7 +55,8 @@ class Muscle:
     slack : float
         Stretch at which the passive fibres become taut.
     glide : float
-        Share of the length, from the origin, over which it glides in the tissue, see `following`.
+        Share of the length, from the origin, over which it glides in the tissue, see `pulls`; a
+        muscle with 0 moves with the tissue throughout.
 
     Raises
     ------
@@ -86,8 +87,10 @@ class Muscle:
                 f"{self.name}: angles of shape {self.angles.shape}; give three for each of the "
                 f"{self.mesh.n_params // 8} nodes"
             )
-        if not 0.0 <= self.glide <= 1.0:
-            raise InputError(f"{self.name}: glide {self.glide}; give a share of the length, 0 to 1")
+        if not 0.0 <= self.glide < 1.0:
+            raise InputError(
+                f"{self.name}: glide {self.glide}; give a share of the length, below 1"
+            )
 
     @property
     def corners(self) -> np.ndarray:
@@ -212,27 +215,34 @@ class Muscle:
         near = along > 1.0 - share if insertion else along < share
         return rule.points[near], rule.weights[near]
 
-    def following(self, rule: MusclePoints) -> np.ndarray:
-        """Tell how far points of the muscle follow the tissue around them, (q, 2).
+    def pulls(self, rule: MusclePoints, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tell on which fibre the points of a muscle that glides lie, and how they stretch it.
 
-        A muscle that glides is at its bone where the fibres begin, whatever the tissue does, and
-        goes with the tissue from where the share `glide` of its length ends.
+        Its fibres are at their bone where they begin, whatever the tissue does, and go along with
+        the tissue to which they are bound beyond the share `glide` of the length: with the mean
+        of its displacement, by volume.
 
         Parameters
         ----------
         rule : MusclePoints
+        held : (q,) bool array
+            Which points the tissue holds.
 
         Returns
         -------
-        (q, 2) array
-            The share of the tissue's displacement that the muscle goes along, from 0 at the
-            origin in a straight line to 1, and its derivative along the fibres (1/mm).
+        fibres : (q,) int array
+            Number of the fibre of each point, from 0 up.
+        pulls : (q,) array
+            Stretch of the whole fibre for each mm by which the tissue at the point moves along it
+            (1/mm); 0 on a fibre that no tissue holds.
         """
-        if self.glide == 0.0:
-            return np.tile([1.0, 0.0], (len(rule.weights), 1))
         along, length = self._along(rule)
-        share = np.minimum(along / self.glide, 1.0)
-        return np.stack([share, np.where(share < 1.0, 1.0 / (self.glide * length), 0.0)], axis=1)
+        lines = np.column_stack([self.rows()[0][rule.elements], np.round(rule.xi[:, 1:], 9)])
+        fibres = np.unique(lines, axis=0, return_inverse=True)[1].ravel()
+        bound = np.where(held & (along > self.glide), rule.weights, 0.0)
+        # The mean of where the bound points are, times their volume.
+        reach = np.bincount(fibres, bound * along)[fibres] * length
+        return fibres, np.divide(bound, reach, out=np.zeros_like(bound), where=reach > 0.0)
 
     def _along(self, rule: MusclePoints) -> tuple[np.ndarray, np.ndarray]:
         """Return the share of the length before points, and the length (mm), both (q,)."""

@@ -318,7 +318,9 @@ class Continuation:
         (n_params, 3, k) array
             In mm.
         """
-        return self.answers(self.problem.activation_slopes(self.state.parameters, muscles))
+        return self.answers(
+            self.problem.activation_slopes(self.state.parameters, muscles, self.state.load)
+        )
 
     def answers(self, slopes: Array, held: Array | None = None) -> Array:
         """Return the derivatives of the present state's parameters by whatever changes it.

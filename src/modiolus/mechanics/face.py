@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,18 @@ from .contact import RigidContact, SurfaceContact, face_points
 from .continuation import Continuation
 from .laws import FAT, MUSCLE, Array, FibreLaw, mix
 from .problem import GAUSS, Problem, State
-from .terms import FibreQuadrature, Fibres, IntArray, Load, PointTerm, Springs
+from .terms import (
+    FibreQuadrature,
+    Fibres,
+    GlidingFibres,
+    GlidingQuadrature,
+    IntArray,
+    Load,
+    PointTerm,
+    Springs,
+)
+
+Points = TypeVar("Points", bound=FibreQuadrature)
 
 
 @dataclass(frozen=True)
@@ -280,7 +292,7 @@ def face_problem(
         fixed |= symmetry_plane(mesh, *head.sides["midplane"])
     for _, cut in cuts(head):
         fixed |= clamp(mesh, *cut)
-    acting: list[PointTerm] = [*terms, fibres(head, settings, measured), *_springs(head)]
+    acting: list[PointTerm] = [*terms, *fibres(head, settings, measured), *_springs(head)]
     acting += [*_deep_contacts(head, settings, measured), *_slit_contacts(head, settings)]
     return Problem(
         mesh,
@@ -383,33 +395,43 @@ def face_load(
     return replace(load, prescribed=prescribed, jaw=jaw_open)
 
 
-def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> Fibres:
+def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> Iterator[Fibres]:
     """Embed the muscles: their own quadrature points, located once in the tissue.
 
     They are those of the measured head where there is one, carried to the shape at rest.
     """
     source = measured or head
     half = source.half or source
-    muscles = half.muscles.values()
-    rules = [muscle.quadrature() for muscle in muscles]
-    place = half.tissue.locate(np.concatenate([rule.points for rule in rules]))
-    quadrature = FibreQuadrature(
-        place.elements,
-        place.xi,
-        np.concatenate([rule.weights for rule in rules]),
-        np.concatenate([rule.directions for rule in rules]),
-        np.repeat(np.arange(len(rules)), [len(rule.weights) for rule in rules]),
-        np.concatenate(
-            [muscle.following(rule) for muscle, rule in zip(muscles, rules, strict=True)]
-        ),
-    ).take(place.distance < 0.05)
-    slacks = {name: muscle.slack for name, muscle in head.muscles.items()}
+    moving: list[FibreQuadrature] = []
+    gliding: list[GlidingQuadrature] = []
+    for number, muscle in enumerate(half.muscles.values()):
+        rule = muscle.quadrature()
+        place = half.tissue.locate(rule.points)
+        held = place.distance < 0.05
+        index = np.full(len(held), number)
+        points = place.elements, place.xi, rule.weights, rule.directions, index
+        if muscle.glide == 0.0:
+            moving.append(FibreQuadrature(*points).take(held))
+            continue
+        lines, pulls = muscle.pulls(rule, held)
+        bound = np.bincount(lines, pulls)[lines] > 0.0
+        lines += sum(len(np.unique(part.fibres)) for part in gliding)
+        gliding.append(GlidingQuadrature(*points, lines, pulls).take(bound))
     law = FibreLaw(sigma_max=settings.sigma_max)
-    if source.half is not None:
-        quadrature = both_sides(quadrature, source.half)
-    if measured is not None:
-        quadrature = quadrature.carried(measured.tissue, head.tissue)
-    return Fibres(head.tissue, quadrature, list(head.muscles), law, slacks, _bones(head))
+    slacks = {name: muscle.slack for name, muscle in head.muscles.items()}
+
+    def placed(parts: Sequence[Points]) -> Points:
+        whole = type(parts[0]).concatenate(parts)
+        if source.half is not None:
+            whole = both_sides(whole, source.half)
+        return whole if measured is None else whole.carried(measured.tissue, head.tissue)
+
+    if moving:
+        yield Fibres(head.tissue, placed(moving), list(head.muscles), law, slacks)
+    if gliding:
+        yield GlidingFibres(
+            head.tissue, placed(gliding), list(head.muscles), law, slacks, _bones(head)
+        )
 
 
 def _bones(head: Head) -> Callable[[Array, IntArray], Callable[[Load], Array]] | None:
@@ -427,19 +449,20 @@ def _bones(head: Head) -> Callable[[Array, IntArray], Callable[[Load], Array]] |
     return carry
 
 
-def both_sides(quadrature: FibreQuadrature, half: Head) -> FibreQuadrature:
+def both_sides(quadrature: Points, half: Head) -> Points:
     """Return the points of a half's muscles and their images, in the order of the whole's."""
     elements, xi = half.both.points(quadrature.elements, quadrature.xi)
     left = replace(quadrature, muscles=2 * quadrature.muscles)
-    right = FibreQuadrature(
-        elements,
-        xi,
-        quadrature.weights,
-        quadrature.directions * [-1.0, 1.0, 1.0],
-        2 * quadrature.muscles + 1,
-        quadrature.following,
+    right = replace(
+        quadrature,
+        elements=elements,
+        xi=xi,
+        directions=quadrature.directions * [-1.0, 1.0, 1.0],
+        muscles=2 * quadrature.muscles + 1,
     )
-    return FibreQuadrature.concatenate([left, right])
+    if isinstance(right, GlidingQuadrature):
+        right = replace(right, fibres=right.fibres + right.fibres.max(initial=-1) + 1)
+    return type(quadrature).concatenate([left, right])
 
 
 def _springs(head: Head) -> Iterator[Springs]:

@@ -509,7 +509,9 @@ class Problem:
         """
         return self.assembly.matrix(extra)
 
-    def activation_slopes(self, parameters: Array, muscles: Sequence[str]) -> Array:
+    def activation_slopes(
+        self, parameters: Array, muscles: Sequence[str], load: Load | None = None
+    ) -> Array:
         """Return the derivatives of the residual by activations, (n, k).
 
         At fixed deformation the force of a muscle is linear in its activation.
@@ -518,17 +520,21 @@ class Problem:
         ----------
         parameters : (n_params, 3) array
         muscles : sequence of k str
+        load : Load, optional
+            What else the state carries, such as an open jaw.
         """
+        others = replace(load or Load(), activations={})
         free = self.assembly.equations >= 0
         out = np.zeros((self.assembly.n, len(muscles)))
         for term in self.terms:
             if not isinstance(term, Fibres):
                 continue
             vectors = np.asarray(term.functions @ parameters)
-            passive = term.respond(vectors, Load()).forces
+            passive = term.respond(vectors, others).forces
             for k, name in enumerate(muscles):
                 if name in term.names:
-                    active = term.respond(vectors, Load({name: 1.0})).forces - passive
+                    alone = replace(others, activations={name: 1.0})
+                    active = term.respond(vectors, alone).forces - passive
                     forces = np.asarray(term.functions.T @ active)
                     out[self.assembly.equations[free], k] += forces[free]
         return out
@@ -599,7 +605,7 @@ class Problem:
         found: list[str] = []
         for term in self.terms:
             if isinstance(term, Fibres):
-                here = np.unique(term.quadrature.muscles[term.hosts == element])
+                here = np.unique(term.quadrature.muscles[term.quadrature.elements == element])
                 found += [term.names[index] for index in here]
         return found
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -202,9 +203,6 @@ class FibreQuadrature:
         Unit fibre direction in the reference configuration.
     muscles : (n,) int array
         Index of the muscle.
-    following : (n, 2) array, optional
-        Share of the tissue's displacement that the muscle goes along, and the share's derivative
-        along the fibre (1/mm); by default all of it.
     """
 
     elements: IntArray
@@ -212,24 +210,19 @@ class FibreQuadrature:
     weights: Array
     directions: Array
     muscles: IntArray
-    following: Array = field(default_factory=lambda: np.array([1.0, 0.0]))
-
-    def __post_init__(self) -> None:
-        following = np.broadcast_to(self.following, (len(self.weights), 2))
-        object.__setattr__(self, "following", following)
 
     @classmethod
-    def concatenate(cls, parts: Sequence[FibreQuadrature]) -> FibreQuadrature:
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
         """Join quadratures whose muscle indices already agree."""
         return cls(
             *(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(cls))
         )
 
-    def take(self, points: NDArray[np.int64] | NDArray[np.bool_]) -> FibreQuadrature:
+    def take(self, points: NDArray[np.int64] | NDArray[np.bool_]) -> Self:
         """Return some of the points, in the given order."""
-        return FibreQuadrature(*(getattr(self, item.name)[points] for item in fields(self)))
+        return type(self)(*(getattr(self, item.name)[points] for item in fields(self)))
 
-    def carried(self, before: HermiteMesh, after: HermiteMesh) -> FibreQuadrature:
+    def carried(self, before: HermiteMesh, after: HermiteMesh) -> Self:
         """Return the points as they are when the tissue at rest has another shape.
 
         Volumes become J times and directions F times what they were, of unit length.
@@ -237,13 +230,39 @@ class FibreQuadrature:
         old = before.jacobian(self.elements, self.xi)
         gradient = after.jacobian(self.elements, self.xi) @ np.linalg.inv(old)
         directions = (gradient @ self.directions[:, :, None])[:, :, 0]
-        stretch = np.linalg.norm(directions, axis=1, keepdims=True)
+        stretch = np.linalg.norm(directions, axis=1)
         return replace(
             self,
             weights=self.weights * np.linalg.det(gradient),
-            directions=directions / stretch,
-            following=self.following / np.hstack([np.ones_like(stretch), stretch]),
+            directions=directions / stretch[:, None],
+            **self._stretched(stretch),
         )
+
+    def _stretched(self, stretch: Array) -> dict[str, Any]:
+        """Return what else changes where fibres are longer at rest by factors (n,)."""
+        return {}
+
+
+@dataclass(frozen=True)
+class GlidingQuadrature(FibreQuadrature):
+    """Points of muscles that glide in the tissue from their bone to where they are bound to it.
+
+    Attributes
+    ----------
+    fibres : (n,) int array
+        Number of the fibre on which the point lies; every fibre belongs to one muscle.
+    pulls : (n,) array
+        By how much its fibre stretches where the tissue at this point moves along it (1/mm); 0
+        where it glides.
+    """
+
+    fibres: IntArray
+    pulls: Array
+
+    def _stretched(self, stretch: Array) -> dict[str, Any]:
+        number = np.unique(self.fibres, return_inverse=True)[1]
+        longer = np.bincount(number, self.weights * stretch) / np.bincount(number, self.weights)
+        return {"pulls": self.pulls / longer[number]}
 
 
 def fibre_functions(
@@ -264,11 +283,9 @@ def fibre_functions(
 
 
 class Fibres(PointTerm):
-    """Active and passive stress of the embedded muscles.
+    """Active and passive stress of muscles that move with the tissue around them.
 
-    A point of a muscle moves by ``w u + (1 - w) b``, a share ``w`` of the displacement ``u`` of the
-    tissue around it and the rest of that of bone, ``b``. Its fibre vector is the derivative of
-    where it goes along ``f0``: ``F f0`` where ``w`` is 1.
+    The fibre vector of a point is ``F f0``.
 
     Parameters
     ----------
@@ -280,9 +297,6 @@ class Fibres(PointTerm):
     law : FibreLaw
     slacks : mapping of str to float
         Stretch from which a muscle's passive fibres are taut; 1 for those not named.
-    carry : callable, optional
-        Takes points at rest (n, 3) of the bones of some muscles (n,) and returns what takes a
-        load to where they are.
 
     Raises
     ------
@@ -297,25 +311,24 @@ class Fibres(PointTerm):
         names: Sequence[str],
         law: FibreLaw | None = None,
         slacks: Mapping[str, float] | None = None,
-        carry: Callable[[Array, IntArray], Callable[[Load], Array]] | None = None,
+    ) -> None:
+        quadrature = quadrature.take(by_host(quadrature.elements))
+        functions = fibre_functions(mesh, quadrature.elements, quadrature.xi, quadrature.directions)
+        super().__init__("fibres", functions, quadrature.elements)
+        self._keep(quadrature, names, law, slacks)
+
+    def _keep(
+        self,
+        quadrature: FibreQuadrature,
+        names: Sequence[str],
+        law: FibreLaw | None,
+        slacks: Mapping[str, float] | None,
     ) -> None:
         # The kernels trust these: an index beyond the names would be read from beyond its array.
         whole("fibre muscles", quadrature.muscles, len(tuple(names)))
         directions = numbers("fibre directions", quadrature.directions, None, 3)
         if not (np.linalg.norm(directions, axis=1) > 0.0).all():
             raise InputError("fibre directions: one has no length; leave its point out")
-        quadrature = quadrature.take(by_host(quadrature.elements))
-        place = quadrature.elements, quadrature.xi
-        share, slope = (sp.diags_array(part) for part in quadrature.following.T)
-        along = fibre_functions(mesh, *place, quadrature.directions)
-        functions = sp.csr_matrix(share @ along + slope @ mesh.functions(*place))
-        super().__init__("fibres", functions, quadrature.elements)
-        # What bone adds to the vectors, at the points that do not go along with all.
-        self._gliding = np.flatnonzero(quadrature.following[:, 0] < 1.0)
-        gliding = quadrature.take(self._gliding)
-        start = mesh.evaluate(gliding.elements, gliding.xi)
-        hold = (lambda at, _: lambda _load: at) if carry is None else carry
-        self._bones = [hold(at, gliding.muscles) for at in (start, start + gliding.directions)]
         self.quadrature = quadrature
         self.names = tuple(names)
         self.law = FibreLaw() if law is None else law
@@ -325,11 +338,6 @@ class Fibres(PointTerm):
         """Evaluate the fibre potential ``ψ(|v|)``."""
         n = len(vectors)
         out = Response(np.empty(n), np.empty((n, 3)), np.empty((n, 6)))
-        if len(self._gliding):
-            start, end = (bone(load) for bone in self._bones)
-            share, slope = self.quadrature.following[self._gliding].T[:, :, None]
-            vectors = vectors.copy()
-            vectors[self._gliding] += (1.0 - share) * (end - start) - slope * start
         kernels.fibres(
             vectors,
             self.quadrature.weights,
@@ -343,6 +351,94 @@ class Fibres(PointTerm):
             out.stiffness,
         )
         return out
+
+
+class GlidingFibres(Fibres):
+    """Active and passive stress of muscles that glide from their bone to where they are bound.
+
+    Along a fibre the muscle shortens evenly, as it does where nothing holds it on the way. Its
+    point at ``X`` has the fibre vector ``f0 + Σ_j p_j u_j``, with the displacements ``u_j`` of the
+    tissue at the points of the fibre and their pulls ``p_j``; where bone moves, ``u`` is relative
+    to it and ``f0`` turns with it. What the tissue feels is the fibre's tension at the points
+    that are bound.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest.
+    quadrature : GlidingQuadrature
+    names, law, slacks
+        See `Fibres`.
+    carry : callable, optional
+        Takes points at rest (n, 3) of the bones of some muscles (n,) and returns what takes a
+        load to where they are; bones stay where they are by default.
+
+    Raises
+    ------
+    InputError
+        See `Fibres`; or fibres are of several muscles, or bound nowhere.
+    """
+
+    quadrature: GlidingQuadrature
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        quadrature: GlidingQuadrature,
+        names: Sequence[str],
+        law: FibreLaw | None = None,
+        slacks: Mapping[str, float] | None = None,
+        carry: Callable[[Array, IntArray], Callable[[Load], Array]] | None = None,
+    ) -> None:
+        # Fibres of a muscle follow each other, points of a fibre too.
+        quadrature = quadrature.take(np.lexsort((quadrature.fibres, quadrature.muscles)))
+        self._keep(quadrature, names, law, slacks)
+        _, self._starts, self._fibre = np.unique(
+            quadrature.fibres, return_index=True, return_inverse=True
+        )
+        order = np.argsort(self._starts)
+        self._starts, self._fibre = self._starts[order], np.argsort(order)[self._fibre]
+        if (quadrature.muscles != quadrature.muscles[self._starts][self._fibre]).any():
+            raise InputError("gliding fibres: a fibre is of several muscles; number them apart")
+        count = len(self._starts)
+        sums = sp.csr_matrix(
+            (quadrature.pulls, (self._fibre, np.arange(len(self._fibre)))),
+            shape=(count, len(self._fibre)),
+        )
+        if not (abs(sums).sum(axis=1) > 0.0).all():
+            raise InputError("gliding fibres: one is bound nowhere; leave it out")
+        functions = sp.csr_matrix(sums @ mesh.functions(quadrature.elements, quadrature.xi))
+        # One host for all the fibres of a muscle: they are bound to the same elements.
+        hosts = np.unique(quadrature.muscles[self._starts], return_inverse=True)[1]
+        PointTerm.__init__(self, "gliding fibres", functions, hosts)
+        self._pattern = Pattern.from_functions(functions, hosts, int(hosts.max(initial=-1)) + 1)
+        self._sums = sums
+        start = mesh.evaluate(quadrature.elements, quadrature.xi)
+        hold = (lambda at, _: lambda _load: at) if carry is None else carry
+        ends = start, start + quadrature.directions
+        self._bones = [hold(at, quadrature.muscles) for at in ends]
+
+    def pattern(self) -> Pattern:
+        """Return the pattern of the muscles."""
+        return self._pattern
+
+    def vectors(self, parameters: Array, load: Load) -> Array:
+        """Return the fibre vectors of all points, (n, 3)."""
+        return self._spread(np.asarray(self.functions @ parameters), load)
+
+    def _spread(self, vectors: Array, load: Load) -> Array:
+        start, end = (bone(load) for bone in self._bones)
+        return np.asarray((vectors - self._sums @ start)[self._fibre] + end - start)
+
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
+        """Evaluate the fibre potential at the points of every fibre, and sum it up."""
+        found = super().respond(self._spread(vectors, load), load, convex)
+        return Response(
+            *(
+                np.add.reduceat(part, self._starts, axis=0)
+                for part in (found.energies, found.forces, found.stiffness)
+            )
+        )
 
 
 class Springs(PointTerm):

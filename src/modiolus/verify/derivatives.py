@@ -20,6 +20,8 @@ from ..mechanics import (
     Fibres,
     FollowerPressure,
     Formulation,
+    GlidingFibres,
+    GlidingQuadrature,
     Guccione,
     Law,
     Load,
@@ -73,9 +75,13 @@ def terms(mesh: HermiteMesh) -> dict[str, PointTerm]:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     hosts, xi, weights = rng.integers(0, 4, 40), rng.uniform(size=(40, 3)), np.linspace(5, 20, 40)
     rule = FibreQuadrature(hosts, xi, weights, directions, rng.integers(0, 2, 40))
+    bundles = GlidingQuadrature(
+        hosts, xi, weights, directions, np.repeat([0, 1], 20), np.repeat(range(8), 5), weights / 500
+    )
     inner = face_points(mesh, np.arange(4), 2, 0, 3)
     return {
         "fibres": Fibres(mesh, rule, ("first", "second"), FibreLaw(optimal=1.1), {"second": 0.9}),
+        "gliding fibres": GlidingFibres(mesh, bundles, ("first", "second")),
         "springs": Springs(
             mesh, rng.integers(0, 4, 12), rng.uniform(size=(12, 3)), rng.uniform(1, 50, 12)
         ),
