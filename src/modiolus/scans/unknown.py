@@ -226,7 +226,9 @@ class Driven:
         slopes = np.zeros((path.problem.n_unknowns, k))
         held = np.zeros((*state.parameters.shape, k))
         names = [self.unknowns[j].name for j in self._muscles]
-        slopes[:, self._muscles] = path.problem.activation_slopes(state.parameters, names)
+        slopes[:, self._muscles] = path.problem.activation_slopes(
+            state.parameters, names, state.load
+        )
         path.problem.update(state.parameters)
         for j in sorted({*range(k)} - {*self._muscles}):
             step = _STEP * self.unknowns[j].scale
