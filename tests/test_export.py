@@ -2,6 +2,7 @@
 
 import json
 import struct
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.export import Shape, in_turn, vertex_normals, write_glb, write_vtu
 from modiolus.export.scene import FaceScene
+from modiolus.export.usd import write_usd
 from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh, bricks, outward
 from modiolus.hermite.tessellate import Mirror, tessellate
@@ -287,6 +289,70 @@ def test_in_betweens_correct_a_target_on_its_way(tmp_path):
         write_glb(path, [SKIN], {"skin": targets}, between={"nod_33": ("shake", 0.3)})
 
 
+def played_by_usd(path, code, name="skin"):
+    """Return the points of a mesh at a time, as the library's own evaluation of skeletons has."""
+    usd, skel = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdSkel")
+    vt = pytest.importorskip("pxr.Vt")
+    stage = usd.Stage.Open(str(path))
+    mesh = stage.GetPrimAtPath(f"/Face/{name}")
+    cache = skel.Cache()
+    cache.Populate(skel.Root(stage.GetPrimAtPath("/Face")), usd.TraverseInstanceProxies())
+    skeleton = cache.GetSkelQuery(skel.Skeleton(stage.GetPrimAtPath("/Face/Skeleton")))
+    animation = skeleton.GetAnimQuery()
+    names, weights = animation.GetBlendShapeOrder(), animation.ComputeBlendShapeWeights(code)
+    order = cache.GetSkinningQuery(mesh).GetBlendShapeOrder()
+    assert list(names) == list(order)
+    shapes = skel.BlendShapeQuery(skel.BindingAPI(mesh))
+    parts = shapes.ComputeSubShapeWeights(weights)
+    points = vt.Vec3fArray(mesh.GetAttribute("points").Get())
+    assert shapes.ComputeDeformedPoints(
+        *parts,
+        shapes.ComputeBlendShapePointIndices(),
+        shapes.ComputeSubShapePointOffsets(),
+        points,
+    )
+    return np.array(points), stage
+
+
+def test_usd_knows_in_betweens(tmp_path):
+    layout = np.array([[0.1, 0.2], [0.9, 0.2], [0.1, 0.8]])
+    skin = replace(SKIN, layout=layout)
+    way = {"smile-open": [0.0, 3.0, 0.0], "smile-open_25": [1.0, 1.0, 0.5], "up": [0.0, 0.0, 1.0]}
+    targets = {name: SKIN.vertices + shift for name, shift in way.items()}
+    path = tmp_path / "faces.usdc"
+    between = {"smile-open_25": ("smile-open", 0.25)}
+    write_usd(path, [skin], {"skin": targets}, "somebody", in_turn(2, 2.0), between)
+    # A second has 24 codes: a quarter of the smile comes after a quarter of a second.
+    for code, expected in [
+        (0, SKIN.vertices),
+        (6, targets["smile-open_25"]),
+        (15, 0.5 * (targets["smile-open_25"] + targets["smile-open"])),
+        (24, targets["smile-open"]),
+        (72, targets["up"]),
+    ]:
+        points, stage = played_by_usd(path, code)
+        np.testing.assert_allclose(points, expected, atol=1e-6)
+    mesh = stage.GetPrimAtPath("/Face/skin")
+    np.testing.assert_allclose(np.array(mesh.GetAttribute("primvars:st").Get()), layout)
+    assert stage.GetMetadata("upAxis") == "Z" and stage.GetMetadata("metersPerUnit") == 0.001
+    assert stage.GetRootLayer().customLayerData["copyright"] == "somebody"
+    with pytest.raises(InputError, match="nod"):
+        write_usd(path, [skin], {"skin": targets}, between={"up": ("nod", 0.5)})
+
+
+def test_a_stage_that_cannot_be_written_is_named(tmp_path):
+    pytest.importorskip("pxr.Usd")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="could not write"):
+        write_usd(tmp_path / "file" / "faces.usdc", [SKIN], {})
+
+
+def test_usd_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr.Gf", None)
+    with pytest.raises(InputError, match="extra usd"):
+        write_usd(tmp_path / "faces.usdc", [SKIN], {})
+
+
 @pytest.fixture(scope="module")
 def states(tmp_path_factory):
     """Folders with two states of the shipped head, made by hand."""
@@ -325,6 +391,22 @@ def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
     assert not still.any()
     assert len(content["animations"][0]["channels"]) == 5
     assert "CC" in (tmp_path / "faces/LICENSE").read_text()
+
+
+def test_results_become_blend_shapes_of_a_stage(states, tmp_path, capsys):
+    pytest.importorskip("pxr.Usd")
+    sources = [str(states / name) for name in ("wide", "open")]
+    with pytest.raises(SystemExit) as left:
+        main(["export", *sources, "--usd", str(tmp_path / "faces"), "--seconds", "2", "--json"])
+    assert left.value.code == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["shape_keys"], record["seconds"]) == (["wide", "open"], 4.0)
+    head = Head.load("taro")
+    scene, rest = FaceScene(head), head.tissue.parameters
+    shown = {shape.name: shape.vertices for shape in scene.shapes(rest, jaw=0.1)}
+    for name in ("skin", "teeth_lower"):
+        points, _ = played_by_usd(record["files"]["model"], 72, name)
+        np.testing.assert_allclose(points, shown[name], atol=2e-4)
 
 
 @pytest.mark.parametrize(

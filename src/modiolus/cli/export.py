@@ -49,19 +49,23 @@ def export(
             "--glb", metavar="DIR", help="Folder for faces.glb: every result as a shape key."
         ),
     ] = None,
+    usd: Annotated[
+        Path | None,
+        typer.Option("--usd", metavar="DIR", help="Folder for faces.usdc, which holds the same."),
+    ] = None,
     seconds: Annotated[
         float,
         typer.Option(
-            help="With --glb: let each shape key come and go for so long, in turn. Frames of a "
-            "sequence play in their own time without it."
+            help="With --glb or --usd: let each shape key come and go for so long, in turn. Frames "
+            "of a sequence play in their own time without it."
         ),
     ] = 0.0,
     inbetweens: Annotated[
         int,
         typer.Option(
             metavar="N",
-            help="With --glb: compute so many states on the way to each result, which correct its "
-            "shape key where it is not at full strength.",
+            help="With --glb or --usd: compute so many states on the way to each result, which "
+            "correct its shape key where it is not at full strength.",
         ),
     ] = 0,
     as_json: Json = False,
@@ -69,14 +73,17 @@ def export(
 ) -> None:
     """Write results as shape keys of a model, or as EX files.
 
-    Zinc, its applications and CMGUI read EX files; Blender and other animation programs read glb.
+    Blender and other animation programs read glb and USD; Zinc, its applications and CMGUI read EX
+    files.
     """
-    if (ex is None) == (glb is None):
-        raise InputError("--ex, --glb: give one of them, such as --glb out/faces")
+    if sum(target is not None for target in (ex, glb, usd)) != 1:
+        raise InputError("--ex, --glb, --usd: give one of them, such as --glb out/faces")
     if ex is not None and (seconds or inbetweens):
-        raise InputError("--seconds, --inbetweens: they are for --glb; leave them out with --ex")
-    if glb is not None and cmgui:
-        raise InputError("--cmgui: it is for --ex; leave it out with --glb")
+        raise InputError(
+            "--seconds, --inbetweens: they are for --glb and --usd; leave them out with --ex"
+        )
+    if ex is None and cmgui:
+        raise InputError("--cmgui: it is for --ex; leave it out")
     if not 0.0 <= seconds <= 60.0:
         raise InputError(f"--seconds {seconds:g}: not within 0 to 60; give a number in there")
     if not 0 <= inbetweens <= 9:
@@ -86,8 +93,7 @@ def export(
             raise InputError(f"{sources[1]}: EX files take one head or result; export it apart")
         record, text = _write_ex(sources[0], ex, cmgui)
     else:
-        assert glb is not None
-        record, text = _write_glb(sources, glb, seconds, inbetweens, quiet)
+        record, text = _write_model(sources, glb, usd, seconds, inbetweens, quiet)
     show(record, text, as_json, quiet)
 
 
@@ -121,11 +127,17 @@ def _write_ex(source: str, target: Path, cmgui: bool) -> tuple[dict[str, Any], s
     return record, "\n".join(lines)
 
 
-def _write_glb(
-    sources: Sequence[str], target: Path, seconds: float, inbetweens: int, quiet: bool
+def _write_model(
+    sources: Sequence[str],
+    glb: Path | None,
+    usd: Path | None,
+    seconds: float,
+    inbetweens: int,
+    quiet: bool,
 ) -> tuple[dict[str, Any], str]:
     from modiolus.export import in_turn, write_glb
     from modiolus.export.scene import FaceScene
+    from modiolus.export.usd import write_usd
     from modiolus.scans.result import load_result
 
     results: dict[str, Result] = {}
@@ -142,26 +154,31 @@ def _write_glb(
         if not np.array_equal(other.head.tissue.parameters, rest):
             raise InputError(f"{source}: it is of another head than {sources[0]}; export it apart")
     head = first.head
-    keys = in_turn(len(results), seconds, inbetweens) if seconds else None
-    if not seconds:
-        keys = _in_time(list(results.values()))
-        if keys is not None and inbetweens:
-            raise InputError(
-                "--inbetweens: frames of a sequence blend from one to the next, not from rest; "
-                "leave it out, or let them come and go with --seconds"
-            )
+    keys = _in_time(list(results.values()))
+    if seconds:
+        # In USD a blend shape has its in-betweens within it.
+        keys = in_turn(len(results), seconds, inbetweens if usd is None else 0)
+    elif keys is not None and inbetweens:
+        raise InputError(
+            "--inbetweens: frames of a sequence blend from one to the next, not from rest; "
+            "leave it out, or let them come and go with --seconds"
+        )
+    target, option, name, write = glb, "--glb", "faces.glb", write_glb
+    if usd is not None:
+        target, option, name, write = usd, "--usd", "faces.usdc", write_usd
+    assert target is not None
     scene = FaceScene(head)
-    with whole_folder(target, marker="report.json", option="--glb") as folder:
+    with whole_folder(target, marker="report.json", option=option) as folder:
         states: dict[str, tuple[np.ndarray, float]] = {}
         between: dict[str, tuple[str, float]] = {}
-        for name, result in results.items():
-            states[name] = result.parameters, result.jaw
+        for expression, result in results.items():
+            states[expression] = result.parameters, result.jaw
             for share, state in _on_the_way(result, inbetweens, quiet):
-                part = f"{name}_{100.0 * share:.0f}"
+                part = f"{expression}_{100.0 * share:.0f}"
                 states[part] = state.parameters, state.load.jaw
-                between[part] = name, share
-        write_glb(
-            folder / "faces.glb",
+                between[part] = expression, share
+        write(
+            folder / name,
             scene.shapes(rest),
             scene.targets(states),
             str(head.about.get("attribution", "")),
@@ -173,10 +190,10 @@ def _write_glb(
             "head": head.name,
             "shape_keys": list(states),
             "seconds": 0.0 if keys is None else float(keys[0][-1]),
-            "files": {"model": str(target / "faces.glb")},
+            "files": {"model": str(target / name)},
         }
         write_report(folder, record)
-    text = f"{head.name}: {', '.join(states)}\nModel: {target / 'faces.glb'}"
+    text = f"{head.name}: {', '.join(states)}\nModel: {target / name}"
     return record, text
 
 
