@@ -68,21 +68,28 @@ def test_surfaces_are_read_alike(kind, skin, taro, tmp_path):
 
 def test_a_cloud_gets_outward_normals_and_a_surface(skin, taro, tmp_path):
     surface = skin.surface(taro.tissue.parameters)
-    points = surface.samples(2.0)
-    turned = points @ Rotation.from_euler("xyz", [0.3, 2.0, -1.0]).as_matrix().T + 500.0
+    rng = np.random.default_rng(0)
+    exact = surface.samples(1.5)
+    # A hole in the cheek, as where a light glared.
+    gap = exact[np.argmin(np.linalg.norm(exact - taro.landmark_points()["cheek_left"], axis=1))]
+    exact = exact[np.linalg.norm(exact - gap, axis=1) > 10.0]
+    outward = surface.normals[surface.closest(exact).faces]
+    turn = Rotation.from_euler("xyz", [0.3, 2.0, -1.0]).as_matrix()
+    turned = (exact + 0.3 * rng.standard_normal((len(exact), 1)) * outward) @ turn.T + 500.0
     heading = "# made by a scanner\n"
-    stray = turned.mean(axis=0) + 300.0 * np.random.default_rng(0).standard_normal((20, 3))
+    stray = turned.mean(axis=0) + 300.0 * rng.standard_normal((20, 3))
     rows = "\n".join(f"{x:.4f}, {y:.4f}, {z:.4f}" for x, y, z in [*turned, *stray])
     (tmp_path / "face.xyz").write_text(heading + rows + "\n")
     scan = read_scan(tmp_path / "face.xyz")
     # Points that fly about, as scanners leave them, are gone.
     assert scan.cloud and len(scan.points) == len(np.unique(np.round(turned, 4), axis=0))
-    own = surface.closest(points)
     order = np.lexsort(np.round(turned, 4).T[::-1])
-    facing = surface.normals[own.faces][order]
-    back = scan.normals @ Rotation.from_euler("xyz", [0.3, 2.0, -1.0]).as_matrix()
-    assert np.mean((facing * back).sum(axis=1) > 0.7) > 0.93
-    assert scan.surface.area == pytest.approx(surface.area, rel=0.15)
+    assert np.mean((outward[order] * (scan.normals @ turn)).sum(axis=1) > 0.7) > 0.97
+    assert scan.surface.area == pytest.approx(surface.area - 100.0 * np.pi, rel=0.05)
+    away = surface.closest((scan.surface.vertices - 500.0) @ turn).distance
+    assert np.sqrt((away**2).mean()) < 0.25
+    hole = scan.surface.closest((gap @ turn.T + 500.0)[None]).distance
+    assert hole[0] == pytest.approx(10.0, abs=2.0)
 
 
 def test_bad_scans_are_refused_in_one_line(skin, taro, tmp_path):

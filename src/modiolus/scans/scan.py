@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from ..anatomy.surface import Surface, read_surface
 from ..errors import InputError, unknown_name
-from ..fitting.register import UNITS, Registration, sphere
+from ..fitting.register import UNITS, Registration
+from .cloud import wrapped
 
 __all__ = ["Scan", "known_unit", "read_scan", "scan_files"]
 
@@ -27,14 +28,8 @@ _MOST_POINTS = 3_000_000
 _FEWEST_POINTS = 500
 _MESHES = (".ply", ".obj", ".stl", ".vtp")
 _CLOUDS = (".xyz", ".txt", ".csv", ".asc", ".pts")
-#: Points that make the normal of a cloud.
-_NEIGHBOURS = 18
 #: Directions (azimuth, elevation in degrees) from which a face is looked at.
 _CAMERAS = [(a, e) for a in (0.0, 45.0, -45.0, 80.0, -80.0) for e in (0.0, 30.0)]
-#: Points of a cloud that are farther than this many times the usual from their neighbours fly.
-_STRAY = 8.0
-#: Edges longer than this many times the spacing of the points bridge a gap.
-_BRIDGE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +45,7 @@ class Scan:
     normals : (n, 3) array
         Outward unit normals.
     surface : Surface
-        Triangles between the points; those of a cloud were guessed.
+        Triangles between the points; that of a cloud passes through them, with vertices of its own.
     cloud : bool
         Whether it was read as a cloud.
     """
@@ -74,10 +69,14 @@ class Scan:
         """
         if self.cloud:
             return np.full(len(self.points), self.surface.area / len(self.points))
-        thirds = np.repeat(self.surface.areas / 3.0, 3)
-        return np.asarray(
-            np.bincount(self.surface.faces.ravel(), thirds, minlength=len(self.points)), dtype=float
-        )
+        return self.surface.vertex_areas
+
+    @cached_property
+    def shown(self) -> NDArray[np.int64]:
+        """Index of the point that every vertex of the surface shows, (m,)."""
+        if not self.cloud:
+            return np.arange(len(self.points))
+        return np.asarray(cKDTree(self.points).query(self.surface.vertices)[1])
 
     @cached_property
     def _rim(self) -> NDArray[np.bool_]:
@@ -130,7 +129,9 @@ class Scan:
         """
         out = np.zeros(len(self.points), dtype=bool)
         size = float(np.ptp(self.points, axis=0).max())
-        starts = self.points + 1e-3 * size * self.normals
+        # Points of a cloud lie about its surface.
+        places = self.nearest(self.points)[0] if self.cloud else self.points
+        starts = places + 1e-3 * size * self.normals
         for azimuth, elevation in _CAMERAS:
             a, e = np.radians([azimuth, elevation])
             towards = np.array([np.sin(a) * np.cos(e), -np.cos(a) * np.cos(e), np.sin(e)])
@@ -317,35 +318,6 @@ def _cloud(path: Path, points: Array) -> Scan:
     _check(path, points)
     points = np.unique(points, axis=0)
     _check(path, points)
-    apart = cKDTree(points).query(points, k=7)[0].mean(axis=1)
-    points = points[apart < _STRAY * np.median(apart)]
+    points, normals, surface = wrapped(points, path.name)
     _check(path, points)
-    normals, surface = _wrapped(points, path.name)
     return Scan(path.name, points, normals, surface, cloud=True)
-
-
-def _wrapped(points: Array, name: str) -> tuple[Array, Surface]:
-    """Return normals of a cloud, and a surface through it.
-
-    Seen from the centre of the sphere that fits it best, a face hides hardly any part of itself:
-    the convex hull of the directions triangulates it. Triangles that bridge gaps are left out.
-    The normals are those of planes through neighbours, turned as the triangles are.
-    """
-    rays = points - sphere(points)[0]
-    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
-    faces = ConvexHull(rays).simplices.astype(np.int64)
-    a, b, c = (rays[faces[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    gaps, near = cKDTree(points).query(points, k=_NEIGHBOURS)
-    spacing = gaps[:, 1:7].mean(axis=1)
-    edges = faces[:, [[0, 1], [1, 2], [2, 0]]]
-    lengths = np.linalg.norm(points[edges[..., 0]] - points[edges[..., 1]], axis=2)
-    faces = faces[(lengths < _BRIDGE * spacing[edges].max(axis=2)).all(axis=1)]
-    if len(faces) < len(points) // 2:
-        raise InputError(f"{name}: no surface passes through the points; give a denser cloud")
-    surface = Surface(points, faces, name)
-    around = points[near] - points[near].mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
-    turned = (normals * surface.vertex_normals).sum(axis=1) < 0.0
-    return np.where(turned[:, None], -normals, normals), surface

@@ -52,11 +52,12 @@ def draw_comparison(
     measure = comparison.distances
     everywhere = np.ones(len(measure.error), dtype=bool)
     scale = Scale("distance of the scan to the model (mm)", 0.0, _HIGHEST)
-    surface = comparison.scan.surface
+    surface, shown = comparison.scan.surface, comparison.scan.shown
 
     def painted(values: Array) -> Shape:
         colours = scale.colours(values)
         colours[~measure.covered] = _BESIDE
+        colours = colours[shown]
         return Shape(surface.vertices, surface.faces, colours, "scan", gloss=0.05)
 
     measured = Shape(surface.vertices, surface.faces, (0.80, 0.74, 0.68), "scan", gloss=0.15)
