@@ -9,7 +9,7 @@ import pytest
 from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.face.head import Head
-from modiolus.mechanics import Continuation, LoadNotReached, Settings
+from modiolus.mechanics import Continuation, Load, LoadNotReached, Settings, Stride, trace
 from modiolus.mechanics.convergence import Study, discretisation_error, variants
 from modiolus.mechanics.face import Face, face_problem
 from modiolus.scans.result import save_state
@@ -38,6 +38,26 @@ def test_an_earlier_state_saves_work_and_changes_nothing(face, contracted):
     warm = face.solve({"strap": 0.22}, start=contracted)
     assert apart(face, warm.parameters, cold.parameters) < 5e-3
     assert warm.statistics.factorisations < cold.statistics.factorisations
+
+
+def test_a_path_by_its_length_meets_that_by_the_load(face, contracted):
+    load = face.half.load({"strap": 0.2})
+    *_, (before, _), (share, last) = trace(face.half, load, stride=Stride(length=0.1))
+    assert before < 1.0 <= share
+    there = face.solve({"strap": last.activations["strap"]})
+    assert apart(face, last.parameters, there.parameters) < 5e-3
+    less = face.half.load({"strap": 0.1})
+    back = list(trace(face.half, less, contracted, Stride(0.005, states=3)))
+    assert len(back) == 3
+    assert back[-1][1].activations["strap"] < 0.2
+
+
+def test_a_path_leads_through_activations_and_forces(face):
+    load = replace(face.half.load({"strap": 0.1}), jaw=0.1)
+    with pytest.raises(InputError, match="keep what is held"):
+        next(trace(face.half, load))
+    with pytest.raises(InputError, match="ropes"):
+        next(trace(face.half, Load(forces={"ropes": 1.0})))
 
 
 def test_one_side_can_begin_at_a_state_of_both(face, contracted):

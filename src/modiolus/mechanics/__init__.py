@@ -1,6 +1,7 @@
 """Muscle-driven equilibrium of a soft tissue: laws, contact, assembly and continuation."""
 
 from ..hermite import symmetry_plane
+from .arclength import Stride, trace
 from .constraints import clamp
 from .contact import RigidContact, SignedDistance, SurfaceContact, face_points
 from .continuation import Continuation, Interrupted, LoadNotReached, Settings, solve
@@ -57,6 +58,7 @@ __all__ = [
     "Springs",
     "State",
     "Statistics",
+    "Stride",
     "SurfaceContact",
     "Tension",
     "Volume",
@@ -65,4 +67,5 @@ __all__ = [
     "mix",
     "solve",
     "symmetry_plane",
+    "trace",
 ]

@@ -21,6 +21,7 @@ CASES = {
         Case("patch", "even deformation of elements of any shape and extraction", patch.patches),
         Case("plane-strain", "closed form of a cube, both readings of c2", closed.plane_strain),
         Case("muscle-work", "the work of a muscle is the energy stored", closed.muscle_work),
+        Case("giving-way", "a path along which the load turns back twice", closed.giving_way),
         Case("manufactured", "rates of convergence to a known solution", rates.manufactured),
         Case("inf-sup", "the pressure is stable under refinement", rates.inf_sup),
         Case("contact-patch", "even pressure between unlike meshes", contact.even_pressure),

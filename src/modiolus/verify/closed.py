@@ -1,4 +1,4 @@
-"""Closed forms: a cube in plane strain, and the work of a muscle."""
+"""Closed forms: a cube in plane strain, the work of a muscle, and one that gives way."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ import numpy as np
 from ..mechanics import (
     MUSCLE,
     Continuation,
+    DeadForces,
+    FibreLaw,
     FibreQuadrature,
     Fibres,
     Load,
     Problem,
     Settings,
+    Stride,
     clamp,
+    face_points,
     solve,
+    trace,
 )
+from ..mechanics.kernels import fibre
 from .case import Check
 from .meshes import box, side
 
@@ -96,3 +102,49 @@ def muscle_work(fine: bool) -> list[Check]:
     stored, last = energies(greatest)
     work = 0.5 * greatest * float(shares @ inside) - greatest * last
     return [Check("work of the muscle in mN mm", stored, work, 1e-4, True)]
+
+
+def giving_way(fine: bool) -> list[Check]:
+    """Stretch an active muscle beyond the length at which it is strongest.
+
+    Under the force ``F`` an area at rest, ``F = 2 c10 (λ - λ⁻²) + ψ'(λ)``. It falls from where the
+    active force does to where the passive one sets in, and there equilibrium is unstable.
+    """
+    activation, slack, c10, greatest = 0.5, 1.3, 1.0, 300.0
+    mesh = box((10.0, 2.0, 2.0), (2, 1, 1))
+    rule = mesh.quadrature(4)
+    along = np.tile([1.0, 0.0, 0.0], (len(rule.weights), 1))
+    muscle = np.zeros(len(rule.weights), dtype=np.int64)
+    fibres = FibreQuadrature(rule.elements, rule.xi, rule.weights, along, muscle)
+    fixed = np.zeros((mesh.n_params, 3), dtype=bool)
+    for axis in range(3):
+        fixed[mesh.face_parameters(side(mesh, axis, 0.0), axis, 0)[0], axis] = True
+    elements, xi, areas = face_points(mesh, side(mesh, 0, 10.0), 0, 1)
+    pull = DeadForces(mesh, elements, xi, areas[:, None] * [1.0, 0.0, 0.0], "pull")
+    law = FibreLaw()
+    problem = Problem(
+        mesh,
+        [c10, 0.0, 0.0],
+        terms=[Fibres(mesh, fibres, ["muscle"], law, {"muscle": slack}), pull],
+        fixed=fixed,
+    )
+    active = {"muscle": activation}
+    short = solve(problem, problem.load(active), settings=Settings(tolerance=1e-9))
+    path = trace(problem, Load(active, forces={"pull": greatest}), short, Stride(length=0.3))
+    found = []
+    for share, state in path:
+        stretch = float(state.mesh.evaluate([1], [[1.0, 0.5, 0.5]])[0, 0]) / 10.0
+        force = 2.0 * c10 * (stretch - stretch**-2)
+        force += fibre(stretch, activation, slack, law.array())[1]
+        found.append((share * greatest, force, state.statistics.wrong_pivots or 0))
+    forces, expected, unstable = np.array(found).T
+    falls = np.diff(forces) < 0.0
+    return [
+        Check(
+            "error of the force along the path in kPa", 0.0, np.abs(forces - expected).max(), 1e-6
+        ),
+        Check("states of which the force falls", 3.0, float(falls.sum()), 0.0, at_least=True),
+        Check(
+            "of these, unstable", float(falls.sum()), float((unstable[1:][falls] > 0).sum()), 0.0
+        ),
+    ]
