@@ -120,6 +120,12 @@ def test_bad_scans_are_refused_in_one_line(skin, taro, tmp_path):
         read_scan(single)
     assert_one_line(error, "1 points", "too few")
 
+    words = tmp_path / "words.xyz"
+    words.write_text("the quick brown fox\njumps over\n")
+    with pytest.raises(InputError) as error:
+        read_scan(words)
+    assert_one_line(error, "no line of it holds three numbers")
+
     one_vertex = tmp_path / "one.ply"
     one_vertex.write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"

@@ -311,7 +311,9 @@ def _read_rows(path: Path) -> Array:
             rows = []  # a heading, or the count of points in a PTS file
         if len(rows) > _MOST_POINTS:
             raise InputError(f"{path}: more than {_MOST_POINTS} points; decimate the scan")
-    return np.array(rows, dtype=float).reshape(-1, 3)
+    if not rows:
+        raise InputError(f"{path}: no line of it holds three numbers; give a point a line")
+    return np.array(rows, dtype=float)
 
 
 def _cloud(path: Path, points: Array) -> Scan:
