@@ -68,8 +68,8 @@ ACTIONS = {
 }
 
 #: What anatomy says as well and the model does not do. The wing of the nose goes towards the
-#: septum as nasalis contracts: here the cartilage is rigid, and tissue pushed off the bridge
-#: pushes the wing.
+#: septum as nasalis contracts: the source's ends above it, on the bridge, and what it pushes down
+#: from there pushes the wing out a little.
 ASTRAY = {"nasalis": [("ala_left", "-x")]}
 
 #: Expressions that are the same on both sides: those of Wu et al. 2013.

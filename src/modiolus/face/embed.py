@@ -225,23 +225,34 @@ def inside_fraction(mesh: HermiteMesh, muscle: Muscle, above: float = -np.inf) -
     return float(rule.weights[kept][inside].sum() / rule.weights[kept].sum())
 
 
+#: Farther (mm) than this from a Gauss point none of its `cell_points` lies.
+CELL = 4.0
+
+
+def cell_points(elements: NDArray[np.int64], xi: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return 27 points in the cell of each of the Gauss points (n,), (n, 3) of elements.
+
+    Their elements (27 n,) and coordinates (27 n, 3), those of a Gauss point together.
+    """
+    offsets = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1)
+    around = np.clip(xi[:, None] + 0.08 * offsets.reshape(-1, 3), 0.0, 1.0)
+    return np.repeat(elements, around.shape[1]), around.reshape(-1, 3)
+
+
 def muscle_fraction(mesh: HermiteMesh, muscles: Iterable[Muscle]) -> Array:
     """Return the muscle volume fraction around the 4 x 4 x 4 Gauss points, (n_elements, 64).
 
     Each value is the share of 27 points of the Gauss point's cell that lie in a muscle.
     """
     elements, xi, _ = mesh.gauss_points(4)
-    offsets = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1)
-    around = np.clip(xi[:, None] + 0.08 * offsets.reshape(-1, 3), 0.0, 1.0)
-    count = around.shape[1]
-    points = mesh.evaluate(np.repeat(elements, count), around.reshape(-1, 3))
+    points = mesh.evaluate(*cell_points(elements, xi))
     covered = np.zeros(len(points), dtype=bool)
     for muscle in muscles:
         low, high = muscle.bounds()
         near = np.flatnonzero(~covered & (points > low).all(axis=1) & (points < high).all(axis=1))
         if len(near):
             covered[near] = muscle.mesh.locate(points[near], candidates=3).inside
-    share = covered.reshape(-1, count).mean(axis=1)
+    share = covered.reshape(len(elements), -1).mean(axis=1)
     return np.asarray(share.reshape(mesh.n_elements, -1))
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..errors import InputError, unknown_name
+from ..face.embed import CELL, cell_points
 from ..face.expression import Expression, resolve
 from ..face.head import Head
 from ..face.jaw import FOLLOWERS, Jaw, opening
@@ -22,7 +23,7 @@ from ..progress import Report
 from .constraints import clamp
 from .contact import RigidContact, SurfaceContact, face_points
 from .continuation import Continuation
-from .laws import FAT, MUSCLE, Array, FibreLaw, mix
+from .laws import CARTILAGE, FAT, MUSCLE, Array, FibreLaw, mix
 from .problem import GAUSS, Problem, State
 from .terms import (
     FibreQuadrature,
@@ -115,6 +116,11 @@ ROUNDING = 1.0
 #: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
 #: lips and cheeks from the bone.
 VESTIBULE = 6.0
+#: The nose's cartilage is no rigid body but part of the tissue, as far as it lies in it. Its walls
+#: bend over the airway behind them. The septum stands on bone: inner surface within the first of
+#: these distances (mm) of cartilage and within the second of the mid-plane is tied to its place
+#: with the stiffness (kPa/mm) that gives the tip of the nose its measured resistance.
+SEPTUM, SEPTUM_STIFFNESS = (1.0, 2.5), 3.0
 
 
 class Face:
@@ -292,11 +298,11 @@ def face_problem(
         fixed |= symmetry_plane(mesh, *head.sides["midplane"])
     for _, cut in cuts(head):
         fixed |= clamp(mesh, *cut)
-    acting: list[PointTerm] = [*terms, *fibres(head, settings, measured), *_springs(head)]
+    acting: list[PointTerm] = [*terms, *fibres(head, settings, measured), *_springs(head, measured)]
     acting += [*_deep_contacts(head, settings, measured), *_slit_contacts(head, settings)]
     return Problem(
         mesh,
-        tissue(head, settings),
+        tissue(head, settings, measured),
         kappa=settings.kappa,
         gauss_order=settings.gauss_order,
         terms=acting,
@@ -313,13 +319,21 @@ def other_tissue(problem: Problem, head: Head, settings: FaceSettings) -> Proble
     return problem.varied(tissue(head, settings), FibreLaw(sigma_max=settings.sigma_max))
 
 
-def tissue(head: Head, settings: FaceSettings) -> Array:
-    """Return the coefficients of fat, muscle, skin and modiolus at the Gauss points.
+def tissue(head: Head, settings: FaceSettings, measured: Head | None = None) -> Array:
+    """Return the coefficients of fat, muscle, skin, modiolus and cartilage at the Gauss points.
+
+    Parameters
+    ----------
+    head : Head
+    settings : FaceSettings
+    measured : Head, optional
+        As of `face_problem`: in its shape lies the cartilage where it is known to.
 
     Returns
     -------
     (n_elements, q, 3) array
-        ``(c10, c01, c20)`` in kPa, linear in `passive`, `fat`, `skin` and `modiolus`.
+        ``(c10, c01, c20)`` in kPa: a constant, and what is linear in `passive`, `fat`, `skin` and
+        `modiolus`.
     """
     order = settings.gauss_order
     fraction, firmness = (at_gauss(values, order) for values in (head.fraction, head.firmness))
@@ -327,7 +341,9 @@ def tissue(head: Head, settings: FaceSettings) -> Array:
     coefficients = mix(fraction, muscle, fat)
     coefficients[..., 0] += settings.skin * skin_share(head, order)
     knot = firmness[..., None]
-    return np.asarray((1.0 - knot) * coefficients + knot * np.array([settings.modiolus, 0.0, 0.0]))
+    coefficients = (1.0 - knot) * coefficients + knot * np.array([settings.modiolus, 0.0, 0.0])
+    stiff = cartilage_share(measured or head, order)[..., None]
+    return np.asarray((1.0 - stiff) * coefficients + stiff * CARTILAGE.array())
 
 
 def skin_share(head: Head, gauss_order: int = GAUSS) -> Array:
@@ -342,6 +358,20 @@ def skin_share(head: Head, gauss_order: int = GAUSS) -> Array:
     skin = mesh.evaluate(head.skinward[elements], above)
     depth = np.linalg.norm(skin - mesh.evaluate(elements, xi), axis=1)
     return np.asarray(np.clip(1.5 - depth / DERMIS, 0.0, 1.0).reshape(mesh.n_elements, -1))
+
+
+def cartilage_share(head: Head, gauss_order: int = GAUSS) -> Array:
+    """Return the volume share of cartilage around the Gauss points, (n_elements, q)."""
+    mesh = head.tissue
+    elements, xi = Problem.gauss_points(mesh, gauss_order)
+    share = np.zeros(len(elements))
+    if "cartilage" in head.deep:
+        surface = head.distance("cartilage")
+        near = surface.sample(mesh.evaluate(elements, xi)).distance < CELL
+        host, around = cell_points(elements[near], xi[near])
+        inside = surface.sample(mesh.evaluate(host, around)).distance < 0.0
+        share[near] = inside.reshape(int(near.sum()), -1).mean(axis=1)
+    return share.reshape(mesh.n_elements, -1)
 
 
 def cuts(head: Head) -> Iterator[tuple[str, Side]]:
@@ -465,7 +495,7 @@ def both_sides(quadrature: Points, half: Head) -> Points:
     return type(quadrature).concatenate([left, right])
 
 
-def _springs(head: Head) -> Iterator[Springs]:
+def _springs(head: Head, measured: Head | None) -> Iterator[Springs]:
     def carry(rest: Array) -> Callable[[Load], Array]:
         jaw = head.jaw
         assert jaw is not None
@@ -484,6 +514,13 @@ def _springs(head: Head) -> Iterator[Springs]:
     for item in head.insertions.values():
         skin = head.skinward[item.elements], item.xi * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
         yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "insertions", to=skin)
+    if "cartilage" in head.deep:
+        elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
+        points = (measured or head).tissue.evaluate(elements, xi)
+        held = np.abs(points[:, 0] - head.midplane) < SEPTUM[1]
+        held &= head.distance("cartilage").sample(points).distance < SEPTUM[0]
+        stiffness = SEPTUM_STIFFNESS * areas[held]
+        yield Springs(head.tissue, elements[held], xi[held], stiffness, "attachments")
 
 
 def _deep_contacts(
@@ -515,8 +552,8 @@ def _deep_contacts(
 
 
 def _bodies(head: Head) -> dict[str, DistanceGrid]:
-    """Return what the tissue touches: the deep structures, teeth and gums as smooth arches."""
-    grids = {name: item.distance for name, item in head.deep.items()}
+    """Return what the tissue touches: rigid structures, teeth and gums as smooth arches."""
+    grids = {name: item.distance for name, item in head.deep.items() if name != "cartilage"}
     for arch, names in ARCHES.items():
         parts = [grids.pop(name) for name in names if name in grids]
         if parts:

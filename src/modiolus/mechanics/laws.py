@@ -109,6 +109,11 @@ class Coefficients:
 #: Subcutaneous fat.
 FAT = Coefficients(0.42, 0.0, 0.0, "Tran et al. 2007, hypodermis, C10 = 0.42 ± 0.05 kPa")
 
+#: Cartilage of the nose: a sixth of Young's modulus.
+CARTILAGE = Coefficients(
+    350.0, 0.0, 0.0, "Griffin et al. 2016, alar cartilage, Young's modulus 2.09 ± 0.81 MPa"
+)
+
 #: Passive muscle by the name of the parameter set.
 MUSCLE: dict[str, Coefficients] = {
     "wu2013": Coefficients(
