@@ -130,9 +130,11 @@ def write_page(
 
 
 def measure_rows(measure: Measure) -> list[list[object]]:
-    """Return the rows of a table: the whole, where the scan moved, and region by region."""
+    """Return the rows of a table: the whole, where the scan is known to move, and the regions."""
     everywhere = np.ones(len(measure.error), dtype=bool)
-    places = [("whole", everywhere), ("where the scan moved", measure.moved)]
+    places = [("whole", everywhere)]
+    if not measure.moved.all():
+        places.append(("where the scan moved", measure.moved))
     places += [(name.replace("_", " "), measure.region == k) for k, name in enumerate(REGIONS)]
     rows: list[list[object]] = []
     for name, where in places:
