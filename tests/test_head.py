@@ -137,8 +137,10 @@ def test_heads_are_compared_part_by_part(taro):
 @needs_anatomy
 @pytest.mark.slow
 def test_build_makes_the_shipped_head(taro):
+    """But for what a fit's closest points make of round-off, see docs/head.md."""
     for item in differences(taro, build_head(FOLDER)[0]):
-        assert item.greatest < (0.15 if item.kind == "deep" else 0.02), item
+        assert item.greatest < (0.15 if item.kind == "deep" else 0.5), item
+        assert item.rms < (0.03 if item.kind in ("tissue", "deep", "field") else 0.2), item
 
 
 @pytest.mark.parametrize("name", MUSCLES)
