@@ -1,6 +1,7 @@
 """The command line as a person meets it: what it prints, and what it leaves behind."""
 
 import ctypes
+import io
 import json
 import math
 import re
@@ -253,6 +254,20 @@ def test_lost_interruption_is_raised_again(tmp_path, monkeypatch):
     finally:
         for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(number, handler)
+
+
+def test_progress_tells_the_time_left_once_it_knows(monkeypatch):
+    clock = iter([0.0, 0.0, 10.0, 20.0, 40.0])
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    stream = io.StringIO()
+    with Progress("solving", stream=stream) as progress:
+        for done in (0.05, 0.5, 1.0):
+            progress.update(done, "on the way")
+    assert stream.getvalue().splitlines() == [
+        "solving   5% · on the way",
+        "solving  50% · on the way · 20 s left",
+        "solving 100% · on the way · 40 s",
+    ]
 
 
 def test_whole_folder_appears_at_the_end(tmp_path):

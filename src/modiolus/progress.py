@@ -13,6 +13,8 @@ __all__ = ["Interruption", "Progress", "Report"]
 Report = Callable[[float, str], None]
 
 _SECONDS_BETWEEN_LINES = 5.0
+#: Share of the work that tells how long the rest will take; what comes before is slow to begin.
+_TOLD_FROM = 0.1
 
 
 class Interruption:
@@ -111,7 +113,7 @@ class Progress:
         parts = [f"{self.title} {share:4.0%}"]
         if message:
             parts.append(message)
-        if 0.0 < share < 1.0:
+        if _TOLD_FROM < share < 1.0:
             parts.append(f"{_duration(elapsed * (1.0 - share) / share)} left")
         elif share == 1.0:
             parts.append(_duration(elapsed))

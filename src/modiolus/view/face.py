@@ -151,9 +151,9 @@ def draw_catalogue(
 
 
 def _round_up(value: float) -> float:
-    """Return the next 1, 2, 3, 4, 5, 6 or 8 times a power of ten."""
+    """Return the next 1, 1.2, 1.5, 2, 3, 4, 5, 6 or 8 times a power of ten."""
     if value <= 0.0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
-    steps = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0]) * power
+    steps = np.array([1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0]) * power
     return float(steps[steps >= value * (1.0 - 1e-9)][0])
