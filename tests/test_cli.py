@@ -402,3 +402,11 @@ def test_a_name_that_makes_no_folder_is_refused_before_work_begins(run, tmp_path
     )
     assert_refused(run(*arguments), "--out", "'a b'")
     assert not (tmp_path / "a b").exists()
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run(
+        [sys.executable, "-m", "modiolus", "simulate", "grin"], capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("modiolus: ")
