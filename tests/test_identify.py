@@ -28,7 +28,7 @@ from modiolus.scans.skin import Skin
 from modiolus.scans.target import MarkerTarget, Matches, ScanTarget
 from modiolus.scans.unknown import Driven, Unknown, muscle_set, unknowns
 
-STILL = Registration(1.0, np.eye(3), np.zeros(3))
+STILL = Registration()
 
 
 def markers_on(skin, parameters):

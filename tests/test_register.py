@@ -33,6 +33,22 @@ def test_similarity_recovers_scale_rotation_and_translation() -> None:
     assert pose.rms < 1e-12
 
 
+def test_poses_are_done_one_after_the_other() -> None:
+    rng = np.random.default_rng(4)
+    points, centre = rng.standard_normal((5, 3)), rng.standard_normal(3)
+    first, second = (
+        Registration(scale, Rotation.random(rng=rng).as_matrix(), rng.standard_normal(3), unit=10.0)
+        for scale in (2.0, 0.3)
+    )
+    both = second.after(first)
+    assert both.apply(points) == pytest.approx(second.apply(first.apply(points)), abs=1e-12)
+    assert both.unit == 10.0
+    step = 0.1 * rng.standard_normal(6)
+    moved = first.stepped(step, centre, 1.1)
+    arms = Rotation.from_rotvec(step[:3]).apply(first.apply(points) - centre)
+    assert moved.apply(points) == pytest.approx(1.1 * arms + centre + step[3:], abs=1e-12)
+
+
 def test_similarity_never_mirrors() -> None:
     points = np.random.default_rng(3).normal(size=(9, 3))
     pose = similarity(points, points * [-1.0, 1.0, 1.0])

@@ -234,7 +234,7 @@ def test_a_raised_forehead_does_not_move_a_pose_that_is_known(skin, taro):
     height = 1.5 * (skin.zones(feet) == 0)
     raised = surface.vertices + height[:, None] * surface.vertex_normals
     neutral, scan = Scan.of(surface), Scan.of(Surface(raised, surface.faces, "raised"))
-    known = Registration(1.0, np.eye(3), np.zeros(3))
+    known = Registration()
     found = align_to_neutral(scan, neutral, skin, known)
     assert found.pose is known
     assert found.deviation_mm > 0.5

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,9 +68,9 @@ class Registration:
         Millimetres of the surface's unit: 1, 10 or 1000.
     """
 
-    scale: float
-    rotation: Array
-    translation: Array
+    scale: float = 1.0
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    translation: Array = field(default_factory=lambda: np.zeros(3))
     rms: float = np.nan
     matched: float = np.nan
     facing: float = np.nan
@@ -87,6 +87,30 @@ class Registration:
     def moved(self, surface: Surface) -> Surface:
         """Return the surface in the target's frame."""
         return Surface(self.apply(surface.vertices), surface.faces, surface.name)
+
+    def after(self, first: Registration) -> Registration:
+        """Return what does another one first, and then this."""
+        return Registration(
+            self.scale * first.scale,
+            self.rotation @ first.rotation,
+            self.apply(first.translation),
+            unit=first.unit,
+        )
+
+    def stepped(self, step: Array, centre: Array, growth: float = 1.0) -> Registration:
+        """Return this and then a small motion about a centre (3,).
+
+        Parameters
+        ----------
+        step : (6,) array
+            A turn (radians) and a shift (mm).
+        centre : (3,) array
+        growth : float
+            A factor.
+        """
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        shift = centre - growth * turn @ centre + step[3:6]
+        return Registration(growth, turn, shift).after(self)
 
 
 def similarity(source: ArrayLike, target: ArrayLike, scaled: bool = True) -> Registration:
@@ -216,7 +240,7 @@ def icp(
     SolveError
         Surface and target do not meet.
     """
-    start = start or Registration(1.0, np.eye(3), np.zeros(3))
+    start = start or Registration()
     return _icp(
         Matcher(surface, _FINE), Matcher(target, _FINE), start, scaled, both, iterations, reach
     )
@@ -266,15 +290,9 @@ def _icp(
         normal = matrix.T @ (weight[:, None] * matrix)
         normal += 1e-9 * np.diag(np.diag(normal))
         step = np.linalg.solve(normal, matrix.T @ (weight * gap))
-        turn = Rotation.from_rotvec(step[:3]).as_matrix()
         grown = float(np.clip(1.0 + step[6], 0.8, 1.25)) if scaled else 1.0
         grown = float(np.clip(pose.scale * grown, least, most)) / pose.scale
-        pose = Registration(
-            pose.scale * grown,
-            turn @ pose.rotation,
-            grown * turn @ (pose.translation - centre) + centre + step[3:6],
-            unit=start.unit,
-        )
+        pose = pose.stepped(step[:6], centre, grown)
         reach = max(min(reach, 3.0 * width), 3.0)
         if np.abs(step[3:6]).max() < 1e-4 and np.abs(step[:3]).max() < 1e-6:
             break

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, SolveError
 from ..fitting.register import UNITS, Registration, icp, register
@@ -226,7 +225,8 @@ def align_to_neutral(
     except SolveError:
         pass
     if start is None:
-        moved = scan.placed(_resized(neutral_pose))
+        sized = Registration(neutral_pose.scale)
+        moved = scan.placed(sized)
         try:
             whole = register(moved.surface, placed.surface, scaled=False)
         except SolveError as error:
@@ -237,7 +237,7 @@ def align_to_neutral(
             raise InputError(
                 f"{scan.name}: not the face of {neutral.name} in the same unit; give both alike"
             )
-        start = _chained(whole, _resized(neutral_pose))
+        start = whole.after(sized)
     found = _on_still_parts(scan, skin, start, placed)
     # Where the still parts cannot tell the pose from that of the neutral scan, it is that: both
     # were taken in one frame. A raised brow moves the forehead more than a still head does.
@@ -247,20 +247,6 @@ def align_to_neutral(
     if np.sqrt((apart**2).sum(axis=1).mean()) < found.deviation_mm:
         return replace(found, pose=neutral_pose)
     return found
-
-
-def _resized(pose: Registration) -> Registration:
-    return Registration(pose.scale, np.eye(3), np.zeros(3))
-
-
-def _chained(outer: Registration, inner: Registration) -> Registration:
-    """Return the pose that does first `inner` and then `outer`."""
-    return Registration(
-        outer.scale * inner.scale,
-        outer.rotation @ inner.rotation,
-        outer.apply(inner.translation),
-        unit=inner.unit,
-    )
 
 
 def _on_still_parts(scan: Scan, skin: Skin, start: Registration, neutral: Scan | None) -> Alignment:
@@ -286,7 +272,7 @@ def _on_still_parts(scan: Scan, skin: Skin, start: Registration, neutral: Scan |
         for k in zones:
             share[zone == k] = 1.0 / (zone == k).sum()
         points, normals, base = placed.points[rows], placed.normals[rows], share[rows]
-        pose, rms = Registration(1.0, np.eye(3), np.zeros(3)), float("nan")
+        pose, rms = Registration(), float("nan")
         for _ in range(40):
             moved = pose.apply(points)
             near, outward, good = nearest(moved, normals @ pose.rotation.T)
@@ -303,12 +289,7 @@ def _on_still_parts(scan: Scan, skin: Skin, start: Registration, neutral: Scan |
             # Directions that the zones hardly determine stay where the whole fit put them.
             normal += 1e-4 * np.diag(np.diag(normal))
             step = np.linalg.solve(normal, matrix.T @ (weight * gap))
-            turn = Rotation.from_rotvec(step[:3]).as_matrix()
-            pose = Registration(
-                1.0,
-                turn @ pose.rotation,
-                turn @ (pose.translation - centre) + centre + step[3:],
-            )
+            pose = pose.stepped(step, centre)
             if np.abs(step[3:]).max() < 1e-4 and np.abs(step[:3]).max() < 1e-6:
                 break
         return pose, rms
@@ -321,4 +302,4 @@ def _on_still_parts(scan: Scan, skin: Skin, start: Registration, neutral: Scan |
             other, _ = fit([k for k in used if k != left_out])
             moved = other.apply(face) - best.apply(face)
             scatter[STILL_ZONES[left_out]] = float(np.sqrt((moved**2).sum(axis=1).mean()))
-    return Alignment(_chained(best, start), rms, scatter)
+    return Alignment(best.after(start), rms, scatter)

@@ -221,7 +221,7 @@ class _Search:
         self._path = Continuation(driven.problem(values), state, settings=_WARM)
         self.pressed = self.state if start is None else start.state
         self._added = self.pressed.parameters - self.state.parameters
-        self.reached = self._at(values, Registration(1.0, np.eye(3), np.zeros(3)))
+        self.reached = self._at(values, Registration())
 
     @property
     def state(self) -> State:
@@ -265,7 +265,9 @@ class _Search:
             if np.abs(step).max() < _SMALL_STEP and np.abs(turn).max() < _SMALL_SHIFT:
                 return 0.0
             values = np.clip(reached.values + step * reached.scales, reached.low, reached.high)
-            pose = _turned(reached.pose, turn * reached.units, self.target)
+            further = turn * reached.units
+            centre = reached.pose.apply(self.target.middle)
+            pose = reached.pose.stepped(further[:6], centre, float(np.exp(further[6])))
             gain = -np.inf
             with contextlib.suppress(SolveError):
                 self._follow(values)
@@ -386,17 +388,6 @@ def _step(matrix: Array, point: _Point, radius: float) -> tuple[Array, Array]:
     right = -0.5 * np.linalg.solve(root, point.gradient(matrix))
     found = lsq_linear(root.T, right, (low, high), method="bvls")
     return found.x[:k], found.x[k:]
-
-
-def _turned(pose: Registration, step: Array, target: Target) -> Registration:
-    """Return a pose that is turned about the middle, grown and shifted by a step."""
-    turn, growth = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
-    middle = pose.apply(target.middle)
-    return Registration(
-        growth * pose.scale,
-        turn @ pose.rotation,
-        growth * turn @ (pose.translation - middle) + middle + step[3:6],
-    )
 
 
 def _noise(matches: Matches) -> float:
