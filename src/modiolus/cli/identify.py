@@ -489,7 +489,8 @@ def expression_toml(name: str, source: str, found: Identification) -> str:
     shown = identified(found)
     for key, value in shown["further"].items():
         # What the tissue is like is no part of an expression.
-        lines.append(f"{'' if key == 'jaw_open' else '# '}{key} = {value!r}")
+        is_part = key == "jaw_open"
+        lines.append(f"{key} = {value!r}" if is_part else f"# simulate: --set {key}={value!r}")
     lines += ["", "[activations]"]
     active = {name: a for name, a in shown["activations"].items() if a >= 5e-6}
     if not active and shown["activations"]:
