@@ -20,8 +20,6 @@ def test_the_four_expressions_use_the_muscles_of_wu_2013():
             "risorius",
             "zygomaticus_major",
             "zygomaticus_minor",
-            # Not in the table, but lips that only touch at rest part without it.
-            "orbicularis_oris",
         },
         "smile-open": {
             "depressor_labii_inferioris",
