@@ -5,6 +5,7 @@ import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from modiolus.export.usd import write_usd
 from modiolus.face.head import Head
 from modiolus.hermite import HermiteMesh, bricks, outward
 from modiolus.hermite.tessellate import Mirror, tessellate
+from modiolus.mechanics import Load
+from modiolus.mechanics.face import Face, FaceSettings
 from modiolus.scans.result import STATE_FILE, save_state
 
 SKIN = Shape(np.eye(3), np.array([[0, 1, 2]]), (1.0, 1.0, 1.0), "skin")
@@ -362,7 +365,8 @@ def states(tmp_path_factory):
     for name, factor, jaw in [("wide", 1.02, 0.0), ("open", 1.0, 0.1)]:
         (folder / name).mkdir()
         file = folder / name / STATE_FILE
-        save_state(file, name, head, "taro", rest * [factor, 1.0, 1.0], pressure, {}, jaw)
+        moved, settings = rest * [factor, 1.0, 1.0], FaceSettings(sigma_max=250.0)
+        save_state(file, name, head, "taro", moved, pressure, {}, jaw, settings=settings)
     return folder
 
 
@@ -391,6 +395,36 @@ def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
     assert not still.any()
     assert len(content["animations"][0]["channels"]) == 5
     assert "CC" in (tmp_path / "faces/LICENSE").read_text()
+
+
+def test_states_on_the_way_are_computed_and_correct_the_key(states, tmp_path, capsys, monkeypatch):
+    head, asked = Head.load("taro"), []
+    rest = head.tissue.parameters
+
+    def solve(self, activations, jaw, start, report):
+        asked.append((self.settings.sigma_max, jaw, start is None))
+        return SimpleNamespace(parameters=rest, load=Load(jaw=jaw))
+
+    monkeypatch.setattr(Face, "solve", solve)
+    target = tmp_path / "faces"
+    with pytest.raises(SystemExit) as left:
+        main(["export", str(states / "open"), "--glb", str(target), "--inbetweens", "3", "--json"])
+    assert left.value.code == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["shape_keys"] == ["open", "open_25", "open_50", "open_75"]
+    assert asked == [(250.0, 0.1 * share, share == 0.25) for share in (0.25, 0.5, 0.75)]
+    content, accessor = read_glb(target / "faces.glb")
+    names = [node["name"] for node in content["nodes"]]
+    teeth = content["meshes"][names.index("teeth_lower")]["primitives"][0]
+    whole, _, half, _ = (accessor(part["POSITION"]) for part in teeth["targets"])
+    shown = {
+        jaw: {shape.name: shape.vertices for shape in FaceScene(head).shapes(rest, jaw=jaw)}
+        for jaw in (0.0, 0.05)
+    }
+    moved = 1e-3 * (shown[0.05]["teeth_lower"] - shown[0.0]["teeth_lower"])
+    np.testing.assert_allclose(0.5 * whole + half, moved[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6)
+    # What a turning jaw makes of the straight line: a tenth of a millimetre here.
+    assert 5e-5 < np.abs(half).max() < 5e-4
 
 
 def test_results_become_blend_shapes_of_a_stage(states, tmp_path, capsys):
