@@ -187,7 +187,7 @@ def objective(driven, target, unknown, path, values):
     """Energy of the whole objective at some values, from an equilibrium nearby."""
     trial = Continuation(driven.problem(values), path.state, settings=path.settings)
     state = trial.run(driven.load(values))
-    point = _Point(values, STILL, state, target, unknown)
+    point = _Point(values, STILL, state.parameters, target, unknown)
     return point.energy(1.0)
 
 
@@ -201,8 +201,8 @@ def test_the_gradient_of_the_objective_agrees_with_finite_differences(block_head
         driven.problem(values), settings=Settings(tolerance=1e-12, passing=1e-6, augmentations=0)
     )
     path.run(driven.load(values))
-    point = _Point(values, STILL, path.state, target, items)
-    point.mean = 1.0
+    point = _Point(values, STILL, path.state.parameters, target, items)
+    point.noise = 1.0
     slopes = point.matches.slopes(skin, driven.slopes(path, values))
     gradient = point.gradient(slopes)
     for k, item in enumerate(items):
@@ -250,6 +250,20 @@ def found_with(covariance):
     items = tuple(Unknown(name, 0.0, 1.0, 1.0) for name in "abc")
     values = dict.fromkeys("abc", 0.5)
     return Identification(items, values, covariance, None, None, STILL, (0.3,), 1)
+
+
+def test_what_is_no_skin_at_rest_is_not_matched(taro, skin):
+    rest = taro.tissue.parameters
+    surface = skin.surface(rest)
+    apart = np.linalg.norm(surface.vertices - taro.landmark_points()["cheek_left"], axis=1)
+    hair = surface.vertices - 9.0 * np.exp(-((apart / 15.0) ** 8))[:, None] * [0.0, 1.0, 0.0]
+    neutral = Scan.of(Surface(hair, surface.faces, "neutral"))
+    far = []
+    for known in (None, neutral):
+        target = ScanTarget(skin, neutral, known)
+        target.renew(rest, STILL)
+        far.append(target.matches(rest, STILL).mean)
+    assert far[1] < 0.2 * far[0]
 
 
 @pytest.mark.parametrize("alike", [1, 10])
@@ -466,8 +480,8 @@ def test_the_gradient_on_the_face_agrees_with_finite_differences(taro, skin):
     tight = Settings(tolerance=1e-10, passing=1e-3, augmentations=0, first_step=0.3)
     path = Continuation(driven.problem(values), settings=tight)
     path.run(driven.load(values))
-    point = _Point(values, STILL, path.state, target, items)
-    point.mean = 1.0
+    point = _Point(values, STILL, path.state.parameters, target, items)
+    point.noise = 1.0
     gradient = point.gradient(point.matches.slopes(skin, driven.slopes(path, values)))
     step = 1e-5
     for k in (0, 2, 3):

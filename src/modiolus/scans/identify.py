@@ -55,6 +55,8 @@ _PRESSES = 4
 _CORRELATED = 0.8
 #: An unknown is not identifiable where two standard deviations exceed this (of its scale).
 _UNSURE = 0.1
+#: Distances are outliers beyond this many times their median: three standard deviations.
+_OUTLYING = 3.0 * 1.4826
 #: Size (mm) of the patches of the face beyond which distances are taken as independent.
 _PATCH = 20.0
 
@@ -394,11 +396,14 @@ def _noise(matches: Matches) -> float:
     """Return the variance (mm²) of the mean of distances, as their sums over patches scatter.
 
     So it need not be known how far errors of neighbouring points are alike: those of a scanner may
-    not be at all, those of the model's shape are.
+    not be at all, those of the model's shape are. The few that are far larger than most, such as
+    those of hair, are no noise.
     """
+    most = _OUTLYING * float(np.median(np.abs(matches.residual)))
+    residual = np.clip(matches.residual, -most, most)
     places = np.round(matches.feet.points / _PATCH).astype(np.int64)
     _, patch = np.unique(places, axis=0, return_inverse=True)
-    sums = np.bincount(patch.ravel(), matches.weight * matches.residual)
+    sums = np.bincount(patch.ravel(), matches.weight * residual)
     variance = (sums**2).sum() / matches.weight.sum()
     return float(max(variance, 1e-12 * matches.mean, 1e-30))
 

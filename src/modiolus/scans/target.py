@@ -29,7 +29,8 @@ _POINTS = 16000
 _TOUCHING = 1e-5
 #: Points of a scan farther than this (mm) from the skin are no counterparts of it.
 _REACH = 20.0
-#: What the shape at rest leaves is believed up to this distance (mm).
+#: Where the neutral scan is farther than this (mm) from the skin at rest, the scan shows no skin:
+#: eyes, hair, the inside of the mouth.
 _SHAPE = 5.0
 
 
@@ -117,7 +118,7 @@ class ScanTarget:
     neutral : Scan, optional
         The same person at rest, in the head's frame. What lies between it and the skin at rest is
         shape, which no muscle explains: it is carried along with the skin, to where the scan was
-        matched by the last `renew`.
+        matched by the last `renew`. Where the skin at rest does not meet it, nothing is matched.
 
     Raises
     ------
@@ -146,35 +147,36 @@ class ScanTarget:
         self.own = skin.state(rest).feet(samples)
         self.known_pose = neutral is not None
         self._shape = None if neutral is None else self._shape_of(neutral)
-        self._own_left = self._shape_at(self.own)
-        self._left = np.zeros(count)
+        self._own_left, self._own_met = self._shape_at(self.own)
+        self._left, self._met = np.zeros(count), np.ones(count, dtype=bool)
 
-    def _shape_of(self, neutral: Scan) -> tuple[cKDTree, Array]:
-        """Return points of the skin at rest and the distance of the neutral scan there."""
+    def _shape_of(self, neutral: Scan) -> tuple[cKDTree, Array, NDArray[np.bool_]]:
+        """Return points of the skin at rest, how far the neutral scan is, and where it is one."""
         skin = self.skin
         rest = skin.head.tissue.parameters
         feet = skin.state(rest).feet(skin.surface(rest).vertices)
         near, outward, rim = neutral.nearest(feet.points)
         gap = ((near - feet.points) * feet.normals).sum(axis=1)
         good = ~rim & ((outward * feet.normals).sum(axis=1) > 0.5) & (np.abs(gap) < _SHAPE)
-        return cKDTree(feet.points), np.where(good, gap, 0.0)
+        return cKDTree(feet.points), np.where(good, gap, 0.0), good
 
-    def _shape_at(self, feet: Feet) -> Array:
-        """Return the distance that the shape at rest leaves at material points of the skin."""
+    def _shape_at(self, feet: Feet) -> tuple[Array, NDArray[np.bool_]]:
+        """Return what the shape at rest leaves at material points, and where scan meets skin."""
         if self._shape is None:
-            return np.zeros(len(feet.elements))
-        tree, gaps = self._shape
+            return np.zeros(len(feet.elements)), np.ones(len(feet.elements), dtype=bool)
+        tree, gaps, good = self._shape
         places = self.skin.places(feet, self.skin.head.tissue.parameters)
         distance, near = tree.query(places, k=4)
         share = 1.0 / np.maximum(distance, 0.05)
-        return np.asarray((share * gaps[near]).sum(axis=1) / share.sum(axis=1))
+        share /= share.sum(axis=1, keepdims=True)
+        return (share * gaps[near]).sum(axis=1), (share * good[near]).sum(axis=1) > 0.5
 
     def renew(self, parameters: Array, pose: Registration) -> None:
         """Take what the shape at rest leaves at the points of the scan from this state on."""
         feet = self.skin.state(parameters).feet(
             pose.apply(self.points), self.normals @ pose.rotation.T
         )
-        self._left = self._shape_at(feet)
+        self._left, self._met = self._shape_at(feet)
 
     def matches(self, parameters: Array, pose: Registration) -> Matches:
         """Match scan and skin both ways, half of the weight each.
@@ -187,7 +189,7 @@ class ScanTarget:
         skin = self.skin
         points = pose.apply(self.points)
         feet = skin.state(parameters).feet(points, self.normals @ pose.rotation.T)
-        seen = feet.covered
+        seen = feet.covered & self._met
         first = feet.take(seen)
         gap, along = _distances(points[seen] - first.points, first.normals)
         gap -= self._left[seen]
@@ -197,7 +199,7 @@ class ScanTarget:
         near, outward, rim = self.scan.nearest(pose.undo(places))
         near, outward = pose.apply(near), outward @ pose.rotation.T
         facing = skin.turned(self.own, parameters)
-        good = ~rim & (np.linalg.norm(near - places, axis=1) < _REACH)
+        good = self._own_met & ~rim & (np.linalg.norm(near - places, axis=1) < _REACH)
         good &= (outward * facing).sum(axis=1) > 0.5
         other, across = _distances((near - places)[good], outward[good])
         other -= self._own_left[good]
