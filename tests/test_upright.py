@@ -10,7 +10,6 @@ import pytest
 
 from modiolus.cli import main
 from modiolus.cli.upright import greatest
-from modiolus.errors import SolveError
 from modiolus.face.head import Head
 from modiolus.face.moved import moved_head
 from modiolus.hermite import HermiteMesh, grid
@@ -70,12 +69,6 @@ def test_a_face_is_recovered_from_lying(block_head: Head) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    raises=(AssertionError, SolveError),
-    strict=True,
-    reason="since the upper lip slides freely on the gum, two places of it lie alike to 0.02 mm: "
-    "the one that is found is 0.5 mm from the other there (0.08 mm rms over the face)",
-)
 def test_taro_is_recovered_from_lying() -> None:
     recovered(Head.load("taro"), DENSITY, moved=0.4, within=0.05)
 
@@ -87,7 +80,7 @@ def recovered(head: Head, density: float, moved: float, within: float) -> None:
         return heavy_face(head, shape, SUPINE, density)
 
     lying = Continuation(build(head.tissue), settings=TIGHT).run(LOAD).mesh
-    found = unloaded(build, lying, 0.1 * within, TIGHT)
+    found = unloaded(build, lying, 0.05 * within, TIGHT)
     elements, xi, _ = lying.gauss_points(4)
     points = lying.functions(elements, xi)
     sag, gap = (
