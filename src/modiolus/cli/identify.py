@@ -381,7 +381,13 @@ def _write_single(
         notes = [describe_alignment(record["alignment"]), describe_measures(record), *notes]
         caption = "Distance of the scan to the model"
         tables.append((caption, MEASURE_HEADINGS, measure_rows(result.distances)))
-    write_page(folder / "compare.html", title, notes, tables, [("", folder / picture)])
+    write_page(
+        folder / "compare.html",
+        title,
+        notes,
+        tables,
+        [("computed and measured face", folder / picture)],
+    )
     names = {"expression": f"{frame.name}.toml", "state": STATE_FILE, "picture": picture}
     files = {key: str(target / name) for key, name in (names | {"page": "compare.html"}).items()}
     text = (
