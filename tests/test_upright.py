@@ -96,7 +96,8 @@ def test_fibres_turn_and_stretch_with_the_tissue(block_head: Head) -> None:
     mesh = block_head.tissue
     shear = np.array([[1.0, 0.2, 0.0], [0.0, 1.1, 0.0], [0.1, 0.0, 0.9]])
     other = mesh.with_parameters(mesh.parameters @ shear.T)
-    before = fibres(block_head, FaceSettings()).quadrature
+    (embedded,) = fibres(block_head, FaceSettings())
+    before = embedded.quadrature
     after = before.carried(mesh, other)
     turned = before.directions @ shear.T
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
