@@ -10,7 +10,7 @@ from modiolus.cli.catalogue import ALONE
 from modiolus.face.expression import Expression, resolve
 from modiolus.face.head import Head
 from modiolus.face.muscles import MUSCLES
-from modiolus.mechanics import Continuation
+from modiolus.mechanics import Continuation, DeadForces, Load, face_points
 from modiolus.mechanics.face import face_load, face_problem
 
 #: The place on the skin above the insertion of the muscle, instead of a landmark.
@@ -276,3 +276,25 @@ def test_what_goes_astray(head, solve, name):
     state = solve({name: ALONE[head.muscles[name].kind]})
     for landmark, way in ASTRAY[name]:
         assert along(head, state, name, landmark, way) > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("element", "xi", "way", "force", "least", "most"),
+    [
+        # Amis et al. 1999: 0.05 to 0.16 mm/g up and aside on the wall of one nostril.
+        (134, (0.3, 0.8, 1.0), (0.67, 0.0, 0.74), 200.0, 61.0, 196.0),
+        # Willson et al. 2015: 1.60 N press the tip in by 2.5 mm; half of that on this side.
+        (132, (0.0, 0.5, 1.0), (0.0, 1.0, 0.0), 800.0, 240.0, 480.0),
+    ],
+    ids=["wall", "tip"],
+)
+def test_the_nose_resists_as_measured(head, element, xi, way, force, least, most):
+    elements, places, areas = face_points(head.tissue, *head.sides["outer"])
+    middle = head.tissue.evaluate([element], [xi])
+    near = np.linalg.norm(head.tissue.evaluate(elements, places) - middle, axis=1) < 4.0
+    elements, places, share = elements[near], places[near], areas[near] / areas[near].sum()
+    push = DeadForces(head.tissue, elements, places, np.outer(force * share, way), "push")
+    state = Continuation(face_problem(head, terms=[push])).run(Load(forces={"push": 1.0}))
+    moved = head.tissue.functions(elements, places) @ state.displacement
+    assert least < force / (share @ moved @ np.array(way)) < most
