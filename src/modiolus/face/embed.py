@@ -28,9 +28,9 @@ from .tissue import Side
 #: Stretch from which passive fibres are taut. The muscles of a resting face are not: a mouth
 #: that moves by 10 mm stretches its antagonists by a fifth before they resist.
 SLACK = 1.15
-#: The lips are: they press on the teeth at rest, by 0.4 to 0.8 kPa (Hellsing and L'Estrange 1987),
-#: in proportion to no activity of their muscles (Thüer and Ingervall 1990), so that they are under
-#: tension. With slack the lower one does not follow the corners of a smile up, and they part.
+#: The lips are: at rest they press on the teeth by 0.4 to 0.8 kPa (Hellsing and L'Estrange 1987),
+#: so that they are under tension. With slack the lower one does not follow the corners of a smile
+#: up, and they part.
 TAUT = {"orbicularis_oris_upper": 1.0, "orbicularis_oris_lower": 1.0}
 
 #: Distance that muscles keep from the outer and the inner surface of the tissue (mm).
