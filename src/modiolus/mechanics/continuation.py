@@ -476,6 +476,10 @@ class Continuation:
                 self._refactorise(damping)
             here, following, full = found
             after = self.problem.size(following)
+            exact = full and damping == 0.0 and not convex
+            if exact and size < tolerance and enough(following, here):
+                # Where contacts switch, corrections need not shrink any more.
+                return self._converged(here, load, max(size, after))
             # Corrections that are damped, or hardly shrink, are small far from equilibrium too.
             if full and damping == 0.0 and after < (0.4 if after > tolerance else 0.7) * size:
                 here, size, settled = self._settle(here, following, load, enough)
