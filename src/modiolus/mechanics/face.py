@@ -434,19 +434,25 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
     half = source.half or source
     moving: list[FibreQuadrature] = []
     gliding: list[GlidingQuadrature] = []
-    for number, muscle in enumerate(half.muscles.values()):
-        rule = muscle.quadrature()
-        place = half.tissue.locate(rule.points)
-        held = place.distance < 0.05
+    rules = [muscle.quadrature() for muscle in half.muscles.values()]
+    place = half.tissue.locate(np.concatenate([rule.points for rule in rules]))
+    ends = np.cumsum([len(rule.points) for rule in rules])
+    numbered = 0
+    for number, (muscle, rule, end) in enumerate(
+        zip(half.muscles.values(), rules, ends, strict=True)
+    ):
+        these = slice(end - len(rule.points), end)
+        held = place.distance[these] < 0.05
         index = np.full(len(held), number)
-        points = place.elements, place.xi, rule.weights, rule.directions, index
+        at = place.elements[these], place.xi[these]
+        points = *at, rule.weights, rule.directions, index
         if muscle.glide == 0.0:
             moving.append(FibreQuadrature(*points).take(held))
             continue
         lines, pulls = muscle.pulls(rule, held)
         bound = np.bincount(lines, pulls)[lines] > 0.0
-        lines += sum(len(np.unique(part.fibres)) for part in gliding)
-        gliding.append(GlidingQuadrature(*points, lines, pulls).take(bound))
+        gliding.append(GlidingQuadrature(*points, numbered + lines, pulls).take(bound))
+        numbered += int(lines.max()) + 1
     law = FibreLaw(sigma_max=settings.sigma_max)
     slacks = {name: muscle.slack for name, muscle in head.muscles.items()}
 
