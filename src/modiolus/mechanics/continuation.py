@@ -476,7 +476,7 @@ class Continuation:
                 self._refactorise(damping)
             here, following, full = found
             after = self.problem.size(following)
-            exact = full and damping == 0.0 and not convex
+            exact = damping == 0.0 and not convex
             if exact and size < tolerance and enough(following, here):
                 # Where contacts switch, corrections need not shrink any more.
                 return self._converged(here, load, max(size, after))
@@ -487,7 +487,10 @@ class Continuation:
                     return self._converged(here, load, size)
             else:
                 size = after
-            if full or done < settings.patience:
+            if after < tolerance:
+                # Whether they are as short as that only corrections without damping tell.
+                damping = 0.0
+            elif full or done < settings.patience:
                 damping = 0.0 if damping < 0.03 else 0.2 * damping
             else:
                 # Contacts stand in the way of one correction after the other: slide round them.
