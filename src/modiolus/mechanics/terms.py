@@ -390,14 +390,12 @@ class GlidingFibres(Fibres):
         slacks: Mapping[str, float] | None = None,
         carry: Callable[[Array, IntArray], Callable[[Load], Array]] | None = None,
     ) -> None:
-        # Fibres of a muscle follow each other, points of a fibre too.
-        quadrature = quadrature.take(np.lexsort((quadrature.fibres, quadrature.muscles)))
+        # Points of a fibre follow each other.
+        quadrature = quadrature.take(by_host(quadrature.fibres))
         self._keep(quadrature, names, law, slacks)
         _, self._starts, self._fibre = np.unique(
             quadrature.fibres, return_index=True, return_inverse=True
         )
-        order = np.argsort(self._starts)
-        self._starts, self._fibre = self._starts[order], np.argsort(order)[self._fibre]
         if (quadrature.muscles != quadrature.muscles[self._starts][self._fibre]).any():
             raise InputError("gliding fibres: a fibre is of several muscles; number them apart")
         count = len(self._starts)
