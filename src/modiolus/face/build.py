@@ -30,7 +30,15 @@ from .head import Head, RigidSurface
 from .muscles import build_muscles, muscle_quality, muscle_table
 from .provenance import GIVEN, INFERRED
 from .template import NECK_CUT
-from .tissue import EYE_CENTRE, EYE_RADIUS, Tissue, build_tissue, eyeball, outer_sheet
+from .tissue import (
+    BEDDED,
+    EYE_CENTRE,
+    EYE_RADIUS,
+    Tissue,
+    build_tissue,
+    eyeball,
+    outer_sheet,
+)
 
 #: Spacing of the eyeball's distance grid (mm).
 _EYE_SPACING = 0.7
@@ -78,7 +86,7 @@ def build_head(
     deep["eyeball"] = DistanceGrid.of([eyeball()], _EYE_SPACING, np.stack([low, high]))
     tell(0.15, "tissue")
     skin = anatomy.surface("skin")
-    tissue = build_tissue(skin, deep)
+    tissue = build_tissue(skin, deep, [anatomy.surface(name) for name in BEDDED])
     tell(0.25, "muscles")
     fitted = build_muscles(anatomy)
     tell(0.75, "muscles into the tissue")

@@ -9,13 +9,14 @@ tricubic elements.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
 
 from ..anatomy.distance import DistanceGrid
 from ..anatomy.surface import MIDPLANE, Surface
@@ -81,6 +82,11 @@ DEPTHS: dict[tuple[float, float], float] = {
     (0, 18): 8, (6, 18): 8, (9, 18): 7, (12, 18): 7,
     (0, 21): 8, (6, 21): 8, (9, 21): 8, (12, 21): 8,
 }  # fmt: skip
+
+#: Muscles that lie on the bone beside the nose and under the brow, deeper than `DEPTHS`: the layer
+#: reaches beneath them, by at most so much (mm) more.
+BEDDED = ("levator_labii_superioris_alaeque_nasi", "corrugator_supercilii")
+DEEPER = 3.0
 
 #: Least thickness (mm) over bone where a muscle lies: the skin is moved out to make room.
 LEAST = 3.2
@@ -175,6 +181,27 @@ def _depth_limit(place: Array) -> Array:
         np.array(list(DEPTHS), dtype=float), np.array(list(DEPTHS.values())), kernel="linear"
     )
     return np.asarray(np.clip(spline(place), 1.5, 26.0))
+
+
+def _deeper(
+    lattice: _Lattice, limit: Array, bedded: Iterable[Surface], hard: Mapping[str, DistanceGrid]
+) -> Array:
+    """Return by how much (mm) the layer exceeds its limit to lie beneath muscles, (n,)."""
+    tree = cKDTree(lattice.points)
+    deeper = np.zeros(len(limit))
+    for body in bedded:
+        points = body.samples(0.5)
+        points = points[_nearest(hard, points)[0] > 0.0]
+        depth, at = tree.query(points)
+        np.maximum.at(deeper, at, np.minimum(depth + MARGIN - limit[at], DEEPER))
+    # Wider than the muscles by two points, so that smoothing leaves them their room.
+    rows, columns = lattice.average.nonzero()
+    for _widen in range(2):
+        narrow = deeper.copy()
+        np.maximum.at(deeper, rows, narrow[columns])
+    for _smooth in range(6):
+        deeper = 0.5 * deeper + 0.5 * (lattice.average @ deeper)
+    return deeper
 
 
 def _backward(place: Array) -> tuple[Array, Array]:
@@ -281,9 +308,12 @@ def _itself(mesh: HermiteMesh) -> HermiteMesh:
 
 
 def shrink(
-    plan: Layout, outer: HermiteMesh, deep: Mapping[str, DistanceGrid]
+    plan: Layout,
+    outer: HermiteMesh,
+    deep: Mapping[str, DistanceGrid],
+    bedded: Iterable[Surface],
 ) -> tuple[_Lattice, Array]:
-    """Shrink the outer surface onto the deep structures.
+    """Shrink the outer surface onto the deep structures, beneath muscles that lie on them.
 
     Returns
     -------
@@ -300,6 +330,7 @@ def shrink(
     ear, neck = np.isclose(column, COLUMNS), np.isclose(row, 0.0)
     mouth = np.isclose(row, MOUTH_ROW) & (column <= COMMISSURE + 1e-9)
     lids = np.isclose(row, EYE_ROW) & (column >= MEDIAL_CANTHUS) & (column <= LATERAL_CANTHUS)
+    limit += np.where(lids, 0.0, _deeper(lattice, limit, bedded, hard))
     travel = np.zeros_like(lattice.points)
     share, backward = _backward(lattice.place)
     stride = 0.4
@@ -340,7 +371,9 @@ def shrink(
     return lattice, lattice.points + travel
 
 
-def build_tissue(skin: Surface, deep: Mapping[str, DistanceGrid]) -> Tissue:
+def build_tissue(
+    skin: Surface, deep: Mapping[str, DistanceGrid], bedded: Iterable[Surface]
+) -> Tissue:
     """Build the tissue mesh of the left half of the face.
 
     Parameters
@@ -349,6 +382,8 @@ def build_tissue(skin: Surface, deep: Mapping[str, DistanceGrid]) -> Tissue:
         Skin of the head, possibly double-walled.
     deep : mapping of DistanceGrid
         Deep structures by name.
+    bedded : iterable of Surface
+        Muscles that lie on them, `BEDDED`.
 
     Returns
     -------
@@ -356,7 +391,7 @@ def build_tissue(skin: Surface, deep: Mapping[str, DistanceGrid]) -> Tissue:
     """
     plan = layout()
     outer, outer_fit = fit_outer(plan, outer_sheet(skin), deep)
-    lattice, arrived = shrink(plan, outer, deep)
+    lattice, arrived = shrink(plan, outer, deep, bedded)
     nodal, held = boundary_conditions(plan, plan.gather(outer.parameters))
     nearest = _nodes_of(plan, lattice)
     nodal[:, 0] = arrived[nearest]
