@@ -12,20 +12,23 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from modiolus import __version__
 from modiolus.cli import main
 from modiolus.cli.catalogue import ALONE
 from modiolus.cli.outputs import whole_folder, write_report
-from modiolus.errors import InputError
+from modiolus.compiling import compiler, working_time
+from modiolus.errors import InputError, SolveError
 from modiolus.face.head import Head
 from modiolus.mechanics import Settings, continuation
 from modiolus.mechanics.face import FaceSettings
 from modiolus.progress import Interruption, Progress
 
-COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head show"]
-COMMANDS += ["compare", "identify", "validate", "morph", "verify", "bench", "converge"]
+COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head", "head show", "head diff"]
+COMMANDS += ["compare", "identify", "validate", "morph", "segment", "upright", "export"]
+COMMANDS += ["verify", "bench", "converge"]
 
 
 @pytest.fixture
@@ -95,7 +98,10 @@ def test_help_has_the_usual_values_of_the_settings(run):
         (["simulate", "--activation", "mentalis=-0.1"], ["mentalis", "-0.1", "0 to 1"]),
         (["simulate", "--activation", "mentalis=1.01"], ["mentalis", "1.01", "0 to 1"]),
         (["simulate", "--activation", "mentalis_lef=0.5"], ["mentalis_lef", "did you mean"]),
-        (["simulate", "sad", "--jaw-open", "wide"], ["--jaw-open"]),
+        (["simulate", "sad", "--jaw-open", "wide"], ["modiolus: --jaw-open: ", "number; mend"]),
+        (["bench", "--refine", "3"], ["modiolus: --refine: ", "2; mend"]),
+        (["compare", ".", "--scan", "face.ply"], [".: no state.npz"]),
+        (["identify", "--markers", "."], [".: cannot be read"]),
         (["simulate", "sad", "--set", "sigma=250"], ["setting 'sigma'", "did you mean sigma_max"]),
         (["simulate", "sad", "--set", "skin"], ["--set skin", "name=value"]),
         (["simulate", "sad", "--set", "skin=nan"], ["--set skin", "nan", "from 0 up"]),
@@ -141,6 +147,23 @@ def test_bad_input_is_one_line(run, tmp_path, arguments, words, as_json):
 def test_bad_expression_file_is_one_line(run, tmp_path, text, words):
     (tmp_path / "my.toml").write_text(text)
     assert_refused(run("simulate", "my.toml"), *words)
+
+
+def test_no_place_for_compiled_kernels_is_one_line(run, monkeypatch):
+    def load(name):
+        raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
+
+    monkeypatch.setattr(Head, "load", load)
+    assert_refused(run("simulate", "sad"), "NUMBA_CACHE_DIR")
+
+
+def test_what_overflows_is_told_in_one_line(run, monkeypatch):
+    def load(name):
+        raise SolveError(f"{np.float64(1e300) ** 2:g}: too much; take less")
+
+    monkeypatch.setattr(Head, "load", load)
+    code, out, error = run("simulate", "sad")
+    assert (code, out, error) == (1, "", "modiolus: inf: too much; take less\n")
 
 
 def test_expression_file_that_is_not_text(run, tmp_path):
@@ -268,6 +291,29 @@ def test_progress_tells_the_time_left_once_it_knows(monkeypatch):
         "solving  50% · on the way · 20 s left",
         "solving 100% · on the way · 40 s",
     ]
+
+
+def test_compilation_is_told_and_not_counted(monkeypatch):
+    seconds = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: seconds[0])
+    monkeypatch.setattr(time, "perf_counter", lambda: seconds[0])
+    monkeypatch.setattr(compiler, "seconds", 0.0)
+    stream = io.StringIO()
+    with Progress("solving", stream=stream) as progress:
+        began = working_time()
+        for _ in range(2):
+            compiler.on_start(None)
+            compiler.on_start(None)  # one function needs another
+            seconds[0] += 15.0
+            compiler.on_end(None)
+            compiler.on_end(None)
+        seconds[0] += 8.0
+        progress.update(0.5)
+        assert working_time() - began == 8.0 and compiler.seconds == 30.0
+    told, half = stream.getvalue().splitlines()
+    assert told == "solving · compiling, once after an installation"
+    assert half.endswith("8 s left")
+    assert compiler.tell is None
 
 
 def test_whole_folder_appears_at_the_end(tmp_path):

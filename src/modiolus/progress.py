@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Callable
 from types import FrameType, TracebackType
-from typing import Self, TextIO
+from typing import Any, Self, TextIO
 
 __all__ = ["Interruption", "Progress", "Report"]
 
@@ -56,7 +56,8 @@ class Progress:
     """Show how far a piece of work has come.
 
     On a terminal this is one line that is redrawn; in a log it is a new line every few seconds.
-    Standard output is never touched. Use it as a context manager.
+    Standard output is never touched. Use it as a context manager. That kernels are compiled is
+    told, and does not count as work.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class Progress:
         self.quiet = quiet
         self._stream = sys.stderr if stream is None else stream
         self._terminal = not quiet and self._stream.isatty()
-        self._started = self._shown = time.monotonic()
+        self._started = self._shown = self._now()
         self._width = 0
 
     def update(self, done: float, message: str = "") -> None:
@@ -103,7 +104,7 @@ class Progress:
             If an interruption was asked for and got lost on the way.
         """
         Interruption.check()
-        now = time.monotonic()
+        now = self._now()
         pause = 0.1 if self._terminal else _SECONDS_BETWEEN_LINES
         if self.quiet or (now - self._shown < pause and done < self.total):
             return
@@ -126,6 +127,15 @@ class Progress:
             self._stream.flush()
             self._width = 0
 
+    @staticmethod
+    def _now() -> float:
+        compiling = _compiling()
+        return time.monotonic() - (compiling.compiler.seconds if compiling else 0.0)
+
+    def _compile(self) -> None:
+        self._write(f"{self.title} · compiling, once after an installation")
+        _compiling().compiler.tell = None
+
     def _write(self, line: str) -> None:
         if self._terminal:
             self._stream.write("\r" + line.ljust(self._width))
@@ -135,7 +145,9 @@ class Progress:
         self._stream.flush()
 
     def __enter__(self) -> Self:
-        self._started = self._shown = time.monotonic()
+        self._started = self._shown = self._now()
+        if not self.quiet and (compiling := _compiling()):
+            compiling.compiler.tell = self._compile
         return self
 
     def __exit__(
@@ -145,6 +157,13 @@ class Progress:
         traceback: TracebackType | None,
     ) -> None:
         self.pause()
+        if compiling := _compiling():
+            compiling.compiler.tell = None
+
+
+def _compiling() -> Any:
+    """Return `modiolus.compiling` if it is in use; Numba is too slow to import to find out."""
+    return sys.modules.get("modiolus.compiling")
 
 
 def _duration(seconds: float) -> str:

@@ -9,7 +9,9 @@ why and what to do) and 130 after an interruption. Outputs appear whole or not a
 from __future__ import annotations
 
 import os
+import re
 import sys
+import warnings
 
 __all__ = ["main"]
 
@@ -37,8 +39,13 @@ def _run(arguments: list[str]) -> int:
 
     # A polite kill ends like Ctrl-C: everything half-written is removed on the way out.
     Interruption.listen()
+    verbose = bool(os.environ.get("MODIOLUS_TRACEBACK"))
     try:
-        code = app(arguments, prog_name="modiolus", standalone_mode=False)
+        with warnings.catch_warnings():
+            if not verbose:
+                # What overflows becomes an error that is told.
+                warnings.simplefilter("ignore", RuntimeWarning)
+            code = app(arguments, prog_name="modiolus", standalone_mode=False)
     except (KeyboardInterrupt, Abort):
         code = _INTERRUPTED
     except Stopped as error:
@@ -58,8 +65,14 @@ def _run(arguments: list[str]) -> int:
     except OSError as error:
         return _say(f"{error.filename or 'system'}: {error.strerror or error}", 1)
     except Exception as error:
-        if os.environ.get("MODIOLUS_TRACEBACK"):
+        if verbose:
             raise
+        if "no locator available" in str(error):
+            return _say(
+                "cache: compiled kernels can be kept neither beside the package nor in ~/.cache; "
+                "set NUMBA_CACHE_DIR to a folder that can be written",
+                2,
+            )
         kind = type(error).__name__
         return _say(
             f"internal error ({kind}: {_one_line(error)}); "
@@ -73,6 +86,10 @@ def _run(arguments: list[str]) -> int:
 
 def _one_line(error: Exception) -> str:
     text = error.format_message() if hasattr(error, "format_message") else str(error)
+    # Of a value that is of the wrong kind the option comes first, as everywhere.
+    text = re.sub(
+        r"^Invalid value for '(.+?)': Input (.+?)(, unable.*)?$", r"\1: \2; mend it", text
+    )
     return " ".join(text.split())
 
 

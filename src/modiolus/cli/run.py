@@ -14,6 +14,7 @@ import numpy as np
 
 from modiolus import __version__
 from modiolus.cli.outputs import write_report
+from modiolus.compiling import compiler
 from modiolus.export import write_glb, write_vtu
 from modiolus.export.scene import FaceScene
 from modiolus.face.head import Head
@@ -143,6 +144,7 @@ class Runner:
             "wrong_pivots": statistics.wrong_pivots,
             "correction_mm": statistics.correction_mm,
             "solve_s": round(statistics.solve_s, 3),
+            "compile_s": round(compiler.seconds, 3),
             "wall_s": 0.0,
             "J_min": statistics.J_min,
             "J_max": statistics.J_max,

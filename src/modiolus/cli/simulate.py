@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,7 +50,7 @@ def simulate(
     expression: Annotated[
         str,
         typer.Argument(
-            metavar="[EXPRESSION|FILE.toml]",
+            metavar="EXPRESSION|FILE.toml",
             help="smile-closed, smile-open, sad, terror, wink, smirk, or a TOML file.",
             show_default=False,
         ),
@@ -181,14 +183,25 @@ def _stopped(
 
 def describe(record: dict[str, Any]) -> str:
     """Return what a person wants to know of a run, in a few lines."""
-    left, right = (
-        f"{np.linalg.norm(record['landmarks'][f'mouth_corner_{side}']['displacement']):.1f} mm"
-        for side in ("left", "right")
-    )
-    corners = left if left == right else f"{left} on the left and {right} on the right"
+    compiled = record["compile_s"]
+    beside = f" beside {compiled:.0f} s of compiling" if compiled > 0.5 else ""
     return (
         f"{record['expression']} on {record['head']}: {record['steps']} steps, "
-        f"{record['newton_iterations']} iterations, {record['solve_s']:.1f} s; the corner of the "
-        f"mouth moved {corners}\n"
+        f"{record['newton_iterations']} iterations, {record['solve_s']:.1f} s{beside}; "
+        f"{_farthest(record['landmarks'])}\n"
         f"Picture: {record['files']['picture']}\nReport:  {record['files']['report']}"
     )
+
+
+def _farthest(landmarks: Mapping[str, Mapping[str, Sequence[float]]]) -> str:
+    """Say which landmark moved most, and how far on both sides."""
+    moved = {
+        name: round(math.hypot(*place["displacement"]), 1) for name, place in landmarks.items()
+    }
+    most = max(moved, key=lambda name: moved[name])
+    name = most.removesuffix("_left").removesuffix("_right")
+    left, right = (moved.get(f"{name}_{side}", moved[most]) for side in ("left", "right"))
+    both = f"{left:.1f} mm"
+    if left != right:
+        both += f" on the left and {right:.1f} mm on the right"
+    return f"the {name.replace('_', ' ')} moved most, {both}"

@@ -344,7 +344,7 @@ def draw(
         scene.vertices,
         scene.faces,
         scene.normals,
-        linear_light(scene.colours),
+        np.ascontiguousarray(linear_light(scene.colours)),
         scene.gloss,
         scene.glow,
         scene.lit,
