@@ -18,9 +18,12 @@ from modiolus.progress import Progress
 @app.command(epilog=examples("modiolus beam --angle 36 --out out"))
 def beam(
     angle: Annotated[
-        float, typer.Option("--angle", help="Of the fibres to the axis of the beam, in degrees.")
+        float,
+        typer.Option("--angle", metavar="DEGREES", help="Of the fibres to the axis of the beam."),
     ] = 36.0,
-    activation: Annotated[float, typer.Option("--activation", help="Of the muscle, 0 to 1.")] = 0.1,
+    activation: Annotated[
+        float, typer.Option("--activation", metavar="VALUE", help="Of the muscle, 0 to 1.")
+    ] = 0.1,
     out: Out = Path("out"),
     as_json: Json = False,
     quiet: Quiet = False,

@@ -29,7 +29,7 @@ def bench(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[EXPRESSION]...",
+            metavar="EXPRESSION",
             help="By default the shipped ones that are alike on both sides.",
         ),
     ] = None,

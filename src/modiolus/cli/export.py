@@ -28,7 +28,7 @@ def export(
     sources: Annotated[
         list[str],
         typer.Argument(
-            metavar="HEAD|RESULT...",
+            metavar="HEAD|RESULT",
             help="A shipped head, a folder with one, or folders that simulate or identify wrote.",
             show_default=False,
         ),
@@ -56,8 +56,9 @@ def export(
     seconds: Annotated[
         float,
         typer.Option(
+            metavar="SECONDS",
             help="With --glb or --usd: let each shape key come and go for so long, in turn. Frames "
-            "of a sequence play in their own time without it."
+            "of a sequence play in their own time without it.",
         ),
     ] = 0.0,
     inbetweens: Annotated[

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _head = typer.Typer(
     help="Look at a head, or at the differences of two.",
+    epilog=examples("modiolus head show --head ict", "modiolus head diff taro ict"),
     rich_markup_mode=None,
     invoke_without_command=True,
     callback=help_alone,
@@ -33,7 +34,7 @@ def heads(
     folder: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[DIR]", help="List the heads in this folder too.", show_default=False
+            metavar="DIR", help="List the heads in this folder too.", show_default=False
         ),
     ] = None,
     as_json: Json = False,
@@ -148,7 +149,7 @@ def build(
     anatomy: Annotated[
         list[Path],
         typer.Argument(
-            metavar="ANATOMY...",
+            metavar="ANATOMY",
             help="The folder of BodyParts3D; or of a subject: folders of named surfaces, surface "
             "files, and a label map.",
         ),
@@ -167,7 +168,7 @@ def build(
     ] = "taro",
     landmarks: Annotated[
         Path | None,
-        typer.Option(metavar="CSV", help="Landmarks on the skin, as for `modiolus morph`."),
+        typer.Option(metavar="CSV", help="Landmarks on the skin, as for modiolus morph."),
     ] = None,
     notice: Annotated[
         Path | None,

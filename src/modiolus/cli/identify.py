@@ -82,7 +82,7 @@ def identify(
         typer.Option(
             "--muscles",
             metavar="NAME,…",
-            help="Those that may contract: muscles, or an expression of the paper's table 2.",
+            help="Those that may contract: muscles, or an expression of Wu et al. (2013), table 2.",
         ),
     ] = "all",
     prior: Annotated[

@@ -36,7 +36,7 @@ def validate(
         typer.Option(
             "--activations",
             metavar="hand,table2,all",
-            help="The shipped ones; identified for the muscles of the paper; for all muscles.",
+            help="The shipped ones; identified for the muscles of Wu et al. (2013); for all.",
         ),
     ] = "hand,table2,all",
     expressions: Annotated[

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @app.command(epilog=examples("modiolus verify patch land-1"))
 def verify(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[CASE]...", help="All cases by default.")
+        list[str] | None, typer.Argument(metavar="CASE", help="All cases by default.")
     ] = None,
     fine: Annotated[
         bool, typer.Option("--fine", help="Also on finer meshes; this takes some minutes.")

@@ -141,7 +141,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         raise InputError(f"{path}: its arrays make no state ({error}); simulate anew") from error
     sizes = (chosen.tissue.n_params, chosen.both.mesh.n_params)
     if not same or parameters.shape not in [(size, 3) for size in sizes]:
-        raise InputError(f"{folder}: the head {source} has changed since; simulate anew")
+        raise InputError(f"{folder}: no state of the head {source} as it is now; simulate anew")
     if not np.isfinite([*parameters.ravel(), *pressure, *values, jaw, time or 0.0]).all():
         raise InputError(f"{path}: a number is not finite; simulate anew")
     if len(names) != len(values):

@@ -217,7 +217,8 @@ def read_scan(path: str | Path) -> Scan:
     path = Path(path)
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise InputError(f"{path}: no such file; check the path")
+        fault = "a folder, not a file" if path.is_dir() else "no such file"
+        raise InputError(f"{path}: {fault}; check the path")
     if suffix not in _MESHES + _CLOUDS:
         kinds = ", ".join(_MESHES + _CLOUDS[:1])
         raise InputError(f"{path}: not a kind of scan that can be read; give one of {kinds}")
