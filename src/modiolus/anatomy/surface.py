@@ -327,12 +327,15 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
         raise InputError(f"{path}: not a surface file; give one of {', '.join(READABLE)}")
     # VTK is imported here because it takes longer than everything else together.
     import pyvista as pv
+    from vtkmodules.vtkCommonCore import vtkLogger
 
     damaged = f"{path}: cannot be read as a surface; it may be truncated, fetch it again"
     if path.suffix.lower() == ".ply" and not is_whole_ply(path):
         raise InputError(damaged)
+    logged = vtkLogger.GetCurrentVerbosityCutoff()
     try:
-        # VTK's own messages go to the root log and as warnings; one line from here is enough.
+        # VTK's messages go to three places at once; one line from here is enough.
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
         with warnings.catch_warnings(), pv.VtkErrorCatcher(raise_errors=True):
             warnings.simplefilter("ignore")
             logging.disable(logging.ERROR)
@@ -342,6 +345,7 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
         raise InputError(damaged) from error
     finally:
         logging.disable(logging.NOTSET)
+        vtkLogger.SetStderrVerbosity(logged)
     if path.suffix.lower() == ".stl":
         merged, index = np.unique(surface.vertices, axis=0, return_inverse=True)
         surface = Surface(merged, index.ravel()[surface.faces], surface.name)
