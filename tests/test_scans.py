@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from modiolus import hermite
 from modiolus.anatomy.surface import Surface
 from modiolus.cli import main
+from modiolus.cli.compare import text_table
 from modiolus.errors import InputError
 from modiolus.face.landmarks import read_landmarks
 from modiolus.fitting.register import Registration
@@ -339,7 +340,7 @@ def test_a_state_is_kept_exactly_and_knows_its_head(taro, tmp_path):
     save_state(tmp_path / STATE_FILE, "x", taro, "taro", moved[:-1], np.zeros(8), {}, 0.0)
     with pytest.raises(InputError) as error:
         load_result(tmp_path)
-    assert_one_line(error, "changed")
+    assert_one_line(error, "no state of the head taro")
     for fault, activations, jaw in [
         ("mentalis", {"mentalis": 7.0}, 0.0),
         ("mentalus", {"mentalus": 0.5}, 0.0),
@@ -446,3 +447,14 @@ def test_commands_refuse_in_one_line(capsys, tmp_path, taro):
         code, out, error = run(capsys, *arguments)
         assert (code, out, error.count("\n")) == (2, "", 1), error
         assert word in error
+
+
+def test_a_table_has_words_to_the_left_and_numbers_to_the_right():
+    text = text_table(
+        ("frame", "rms", "most active"), [["f1", 0.126, "–"], ["f10", None, "nasalis"]]
+    )
+    assert text.splitlines() == [
+        "frame   rms  most active",
+        "f1     0.13  –",
+        "f10       –  nasalis",
+    ]

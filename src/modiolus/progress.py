@@ -148,6 +148,8 @@ class Progress:
         self._started = self._shown = self._now()
         if not self.quiet and (compiling := _compiling()):
             compiling.compiler.tell = self._compile
+        if self._terminal:
+            self._write(self.title)
         return self
 
     def __exit__(

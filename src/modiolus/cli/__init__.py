@@ -33,7 +33,7 @@ def _run(arguments: list[str]) -> int:
     """Run one command and return its exit code; the one place where errors become messages."""
     from typer.exceptions import Abort, Exit, TyperException
 
-    from modiolus.cli.app import app
+    from modiolus.cli.commands import app
     from modiolus.errors import InputError, SolveError, Stopped
     from modiolus.progress import Interruption
 

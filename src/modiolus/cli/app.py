@@ -125,23 +125,3 @@ def _modiolus(
 ) -> None:
     """Muscle-driven faces: from anatomy to an animated head."""
     help_alone(context)
-
-
-# Each module adds its command to `app`; here at the end, because they need it.
-# Their order is that of the help.
-from modiolus.cli import (  # noqa: E402, F401, I001
-    simulate,
-    catalogue,
-    export,
-    heads,
-    morph,
-    segment,
-    upright,
-    compare,
-    identify,
-    validate,
-    verify,
-    converge,
-    bench,
-    beam,
-)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, examples, show
 from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.progress import Progress
+
+if TYPE_CHECKING:
+    from modiolus.scans.compare import Comparison
 
 Unit = Annotated[
     str, typer.Option("--unit", metavar="um|mm|cm|in|m", help="Of the scans; found by default.")
@@ -59,38 +62,26 @@ def compare(
     measured = read_scan(scan)
     resting = None if neutral is None else read_scan(neutral)
     target = out or result / f"compare-{scan.stem}"
+    title = f"{computed.expression} on {computed.head.name} against {scan.name}"
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.export.scene import FaceScene
         from modiolus.face.landmarks import read_landmarks
         from modiolus.scans.align import place
         from modiolus.scans.compare import compare as measure
         from modiolus.scans.skin import Skin
-        from modiolus.view.compare import (
-            MEASURE_HEADINGS,
-            draw_comparison,
-            measure_rows,
-            write_page,
-        )
+        from modiolus.view.compare import draw_comparison
 
-        skin = Skin(computed.head)
+        skin, picture = Skin(computed.head), folder / "compare.png"
         with Progress(f"aligning {scan.name}", quiet=quiet) as progress:
             pairs = None if landmarks is None else read_landmarks(landmarks, computed.head)
             placed, at_rest, alignment = place(measured, skin, resting, unit or None, pairs)
             progress.update(0.7, "measuring")
             found = measure(skin, computed.parameters, placed, at_rest)
             progress.update(0.8, "drawing")
-            title = f"{computed.expression} on {computed.head.name} against {scan.name}"
-            rest = computed.head.tissue.parameters
-            draw_comparison(
-                FaceScene(computed.head),
-                rest,
-                computed.parameters,
-                found,
-                title,
-                folder / "compare.png",
-                computed.jaw,
-            )
+            scene, rest = FaceScene(computed.head), computed.head.tissue.parameters
+            draw_comparison(scene, rest, computed.parameters, found, title, picture, computed.jaw)
             progress.update(1.0)
+        names = {"picture": "compare.png", "page": "compare.html", "report": "report.json"}
         record: dict[str, Any] = {
             "expression": computed.expression,
             "head": computed.head.name,
@@ -99,45 +90,38 @@ def compare(
             "alignment": alignment.as_dict(),
             **found.as_dict(),
             "seconds": round(time.perf_counter() - began, 3),
-            "files": {
-                "picture": str(target / "compare.png"),
-                "page": str(target / "compare.html"),
-                "report": str(target / "report.json"),
-            },
+            "files": {kind: str(target / name) for kind, name in names.items()},
         }
-        tables = [("Distance of the scan to the model", MEASURE_HEADINGS)]
-        rows = [measure_rows(found.distances)]
-        if found.matched is not None:
-            tables.append(("Difference of the displacements", MEASURE_HEADINGS))
-            rows.append(measure_rows(found.matched))
-        notes = [describe_alignment(record["alignment"]), describe_measures(record)]
-        write_page(
-            folder / "compare.html",
-            title,
-            notes,
-            [(*table, part) for table, part in zip(tables, rows, strict=True)],
-            [("error maps", folder / "compare.png")],
-        )
+        text = _write_page(folder, title, found, record)
         write_report(folder, record)
-    text = text_table(MEASURE_HEADINGS, rows[0])
-    files = record["files"]
-    show(
-        record,
-        f"{title}\n\n{text}\n\n{' '.join(notes)}\nPage: {files['page']}",
-        as_json,
-        quiet,
-    )
+    show(record, f"{text}\nPage: {record['files']['page']}", as_json, quiet)
+
+
+def _write_page(folder: Path, title: str, found: Comparison, record: Mapping[str, Any]) -> str:
+    """Write ``compare.html`` and return what it says, as text."""
+    from modiolus.view.compare import MEASURE_HEADINGS, measure_rows, write_page
+
+    rows = measure_rows(found.distances)
+    tables = [("Distance of the scan to the model", MEASURE_HEADINGS, rows)]
+    if found.matched is not None:
+        matched = measure_rows(found.matched)
+        tables.append(("Difference of the displacements", MEASURE_HEADINGS, matched))
+    notes = [describe_alignment(record["alignment"]), describe_measures(record)]
+    pictures = [("error maps", folder / "compare.png")]
+    write_page(folder / "compare.html", title, notes, tables, pictures)
+    return f"{title}\n\n{text_table(MEASURE_HEADINGS, rows)}\n\n{' '.join(notes)}"
 
 
 def text_table(headings: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table as plain text, its first column to the left."""
+    """Return a table as plain text, numbers to the right and words to the left."""
     from modiolus.view.compare import cell
 
     cells = [list(headings), *[[cell(value) for value in row] for row in rows]]
     widths = [max(len(row[k]) for row in cells) for k in range(len(headings))]
+    words = [any(isinstance(row[k], str) for row in rows) for k in range(len(headings))]
     return "\n".join(
         "  ".join(
-            text.ljust(width) if k == 0 else text.rjust(width)
+            text.ljust(width) if words[k] else text.rjust(width)
             for k, (text, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in cells

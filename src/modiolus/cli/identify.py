@@ -128,12 +128,6 @@ def identify(
     from modiolus.scans.unknown import unknowns
 
     known_unit(unit)
-    if (scan is None) == (markers is None):
-        raise InputError("--scan, --markers: give one of them, such as --scan smile.ply")
-    if not 0.0 < rate <= 10_000.0:
-        raise InputError(f"--rate {rate:g}: not within 0 to 10000 Hz; give a number in there")
-    if not 0.0 <= smooth <= 1000.0:
-        raise InputError(f"--smooth {smooth:g}: not within 0 to 1000 s; give a time in there")
     chosen = Head.load(head)
     working = chosen.whole if sides else chosen
     free = None if muscles == "all" else listed(muscles)
@@ -141,13 +135,10 @@ def identify(
         raise InputError("--muscles: none given; name some, an expression, or all")
     wanted = unknowns(working, free, listed(prior), listed(unknown))
     pairs = None if landmarks is None else read_landmarks(landmarks, chosen)
-    measured: _Scans | _Markers
-    if scan is not None:
-        measured = _Scans(scan, neutral, rate, unit or None, pairs)
-    else:
-        assert markers is not None
-        measured = _Markers(markers, neutral, rate, unit or None, pairs)
+    measured = _measured(scan, markers, neutral, rate, unit or None, pairs)
     single = measured.count == 1
+    if not 0.0 <= smooth <= 1000.0:
+        raise InputError(f"--smooth {smooth:g}: not within 0 to 1000 s; give a time in there")
     if single and smooth:
         raise InputError(f"--smooth: {measured.path.name} is a single frame; leave it out")
     target = out / f"identify-{measured.name}"
@@ -158,12 +149,12 @@ def identify(
         from modiolus.scans.sequence import follow
         from modiolus.scans.skin import Skin
 
-        skin, face = Skin(chosen), Face(chosen)
-        frames = measured.frames(skin)
         rows: list[dict[str, Any]] = []
         last: tuple[_Frame, Identification] | None = None
         with Progress(f"identifying {measured.path.name}", quiet=quiet) as progress:
-            for frame, found in follow(face, frames, wanted, smooth, progress.update):
+            skin = Skin(chosen)
+            frames = follow(Face(chosen), measured.frames(skin), wanted, smooth, progress.update)
+            for frame, found in frames:
                 facts: dict[str, Any] = {"frame": frame.name, "time": frame.time}
                 if not isinstance(found, Identification):
                     if single:
@@ -190,6 +181,24 @@ def identify(
         record["files"] = files | {"report": str(target / "report.json")}
         write_report(folder, record)
     show(record, text, as_json, quiet)
+
+
+def _measured(
+    scan: Path | None,
+    markers: Path | None,
+    neutral: Path | None,
+    rate: float,
+    unit: str | None,
+    pairs: Pairs,
+) -> _Scans | _Markers:
+    """Read what was measured, of which there is one kind."""
+    if not 0.0 < rate <= 10_000.0:
+        raise InputError(f"--rate {rate:g}: not within 0 to 10000 Hz; give a number in there")
+    if scan is not None and markers is None:
+        return _Scans(scan, neutral, rate, unit, pairs)
+    if markers is not None and scan is None:
+        return _Markers(markers, neutral, rate, unit, pairs)
+    raise InputError("--scan, --markers: give one of them, such as --scan smile.ply")
 
 
 @dataclass(frozen=True)
@@ -414,7 +423,7 @@ def _write_sequence(
                 [row["frame"], row["time"], round(row["rms_mm"], 4), *map(values.get, names)]
             )
     unsure = [name for name in names if all(name in row["not_identifiable"] for row in found)]
-    headings = ("frame", "time", "rms", "solves", "most active")
+    headings = ("frame", "time (s)", "rms (mm)", "solves", "most active")
     lines = [
         [row["frame"], row["time"], row["rms_mm"], row["solves"], _most(row["activations"])]
         for row in found
@@ -434,8 +443,10 @@ def _write_sequence(
 
 
 def _most(activations: dict[str, float]) -> str:
+    """Tell the three greatest activations that two decimals show."""
     names = sorted(activations, key=lambda name: -activations[name])[:3]
-    return ", ".join(f"{name} {activations[name]:.2f}" for name in names).replace("_", " ")
+    shown = [f"{name} {activations[name]:.2f}" for name in names if activations[name] >= 0.005]
+    return ", ".join(shown).replace("_", " ") or "–"
 
 
 #: Headings of `activation_rows`.

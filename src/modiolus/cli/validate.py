@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -16,6 +16,9 @@ from modiolus.cli.outputs import whole_folder, write_report
 from modiolus.errors import InputError, SolveError, unknown_name
 from modiolus.files import folder_name
 from modiolus.progress import Progress
+
+if TYPE_CHECKING:
+    from modiolus.scans.scan import Scan
 
 #: Root mean square errors that Wu et al. (2013) report, with activations set by hand (mm).
 PAPER = {"smile-closed": 0.88, "smile-open": 0.93, "sad": 1.43, "terror": 1.40}
@@ -68,29 +71,12 @@ def validate(
     validate.html and report.json.
     """
     from modiolus.face.head import Head
-    from modiolus.scans.scan import known_unit, read_scan, scan_files
+    from modiolus.scans.scan import known_unit
     from modiolus.scans.unknown import unknowns
 
     known_unit(unit)
-    ways = list(dict.fromkeys(listed(activations)))
-    further = listed(unknown)
-    for way in ways:
-        if way not in WAYS:
-            raise unknown_name("way", way, WAYS)
-    if not ways:
-        raise InputError(f"--activations: none given; choose from {', '.join(WAYS)}")
-    files = scan_files(folder)
-    if "neutral" not in files:
-        raise InputError(f"{folder}: no neutral surface; put neutral.ply into it")
-    neutral = read_scan(files.pop("neutral"))
-    wanted = [name.replace("_", "-") for name in listed(expressions)]
-    for name in wanted:
-        if name not in files:
-            raise unknown_name("expression", name, files)
-    order = sorted(files, key=lambda name: [*PAPER, name].index(name))
-    scans = {name: read_scan(files[name]) for name in order if not wanted or name in wanted}
-    if not scans:
-        raise InputError(f"{folder}: only the neutral surface; add one for every expression")
+    ways, further = _ways(activations), listed(unknown)
+    neutral, scans = _scans(folder, expressions)
     rows = [(name, way) for name in scans for way in ways if _applies(way, name)]
     if not rows:
         raise InputError(
@@ -150,6 +136,36 @@ def validate(
     failed = [row["expression"] for row in table.rows if row["rms_mm"] is None]
     if failed:
         raise SolveError(f"validate: {', '.join(failed)} did not converge; see {page}")
+
+
+def _ways(text: str) -> list[str]:
+    """Return the ways of `WAYS` to choose activations that were asked for."""
+    ways = list(dict.fromkeys(listed(text)))
+    for way in ways:
+        if way not in WAYS:
+            raise unknown_name("way", way, WAYS)
+    if not ways:
+        raise InputError(f"--activations: none given; choose from {', '.join(WAYS)}")
+    return ways
+
+
+def _scans(folder: Path, expressions: str) -> tuple[Scan, dict[str, Scan]]:
+    """Read the neutral scan of a folder and those of expressions, the paper's first."""
+    from modiolus.scans.scan import read_scan, scan_files
+
+    files = scan_files(folder)
+    if "neutral" not in files:
+        raise InputError(f"{folder}: no neutral surface; put neutral.ply into it")
+    neutral = read_scan(files.pop("neutral"))
+    wanted = [name.replace("_", "-") for name in listed(expressions)]
+    for name in wanted:
+        if name not in files:
+            raise unknown_name("expression", name, files)
+    order = sorted(files, key=lambda name: [*PAPER, name].index(name))
+    scans = {name: read_scan(files[name]) for name in order if not wanted or name in wanted}
+    if not scans:
+        raise InputError(f"{folder}: only the neutral surface; add one for every expression")
+    return neutral, scans
 
 
 def _applies(way: str, name: str) -> bool:
