@@ -360,6 +360,38 @@ def test_a_state_is_kept_exactly_and_knows_its_head(taro, tmp_path):
     assert_one_line(error, "simulate")
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "word"),
+    [
+        ("muscles", None, "muscles"),
+        ("muscles", np.array(0.5), "pair"),
+        ("muscles", np.array([["mentalis"]]), "pair"),
+        ("muscles", np.array([7.0]), "7.0"),
+        ("activations", np.array([[0.25]]), "pair"),
+        ("activations", np.array([np.nan]), "finite"),
+        ("activations", np.array(["much"]), "much"),
+        ("expression", np.array("../x"), "expression"),
+        ("jaw", np.array([0.1, 0.2]), "state"),
+        ("pressure", np.array([np.inf]), "finite"),
+        ("settings", np.array("[1"), "state"),
+        ("settings", np.array("[1]"), "settings"),
+        ("settings", np.array('{"skin": "thick"}'), "settings"),
+        ("head", np.array("../../nowhere"), "nowhere"),
+    ],
+)
+def test_arrays_that_make_no_state_are_refused(taro, tmp_path, name, value, word):
+    path = tmp_path / STATE_FILE
+    parameters = taro.tissue.parameters
+    save_state(path, "x", taro, "taro", parameters, np.zeros(8), {"mentalis": 0.25}, 0.1)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    del arrays[name]
+    np.savez(path, **arrays, **({} if value is None else {name: value}))
+    with pytest.raises(InputError) as error:
+        load_result(tmp_path)
+    assert_one_line(error, word)
+
+
 # --- identification
 
 

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..face.expression import resolve
 from ..face.head import Head, read_arrays
 from ..face.jaw import opening
+from ..files import folder_name
 from ..mechanics.face import FaceSettings
 
 __all__ = ["STATE_FILE", "Result", "load_result", "save_state"]
@@ -130,9 +131,12 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         chosen = Head.load(source)
         parameters = np.asarray(arrays["parameters"], dtype=float)
         pressure = np.asarray(arrays["pressure"], dtype=float).ravel()
-        names, values = arrays["muscles"].tolist(), arrays["activations"].astype(float).tolist()
+        muscles, values = arrays["muscles"], arrays["activations"].astype(float)
+        if muscles.ndim != 1 or muscles.shape != values.shape:
+            raise ValueError("muscles and activations do not pair")
         same = str(arrays["digest"]) == _digest(chosen)
-        expression, jaw = str(arrays["expression"]), float(arrays["jaw"])
+        expression = folder_name(f"{path}: expression", str(arrays["expression"]))
+        jaw = float(arrays["jaw"])
         time = float(arrays["time"]) if "time" in arrays else None
         given = json.loads(str(arrays["settings"]))
     except (KeyError, ValueError, TypeError) as error:
@@ -144,13 +148,13 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         raise InputError(f"{folder}: no state of the head {source} as it is now; simulate anew")
     if not np.isfinite([*parameters.ravel(), *pressure, *values, jaw, time or 0.0]).all():
         raise InputError(f"{path}: a number is not finite; simulate anew")
-    if len(names) != len(values):
-        raise InputError(f"{path}: muscles and activations do not pair; simulate anew")
-    activations = dict(zip(names, values, strict=True))
+    activations = dict(zip(muscles.astype(str).tolist(), values.tolist(), strict=True))
     try:
         resolve(activations, chosen.muscles)
         opening(np.degrees(jaw), "jaw")
         settings = FaceSettings(**given)
-    except (InputError, TypeError) as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    except TypeError as error:
+        raise InputError(f"{path}: settings of no face ({error}); simulate anew") from None
     return Result(expression, chosen, parameters, pressure, activations, jaw, time, settings)
