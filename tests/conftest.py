@@ -98,5 +98,10 @@ def block_head():
                 "strap", elements, xi + np.array([0.0, 0.0, 0.5]), np.full(32, 20.0)
             )
         },
+        sheets={
+            "smas": Attachment(
+                "smas", elements, xi + np.array([0.0, 0.0, 0.7]), rng.uniform(5.0, 10.0, 32)
+            )
+        },
         midplane=plane,
     )

@@ -128,7 +128,7 @@ def test_heads_are_compared_part_by_part(taro):
     assert found["attachment", "mentalis"].greatest == np.inf
     del found["muscle", "risorius"], found["attachment", "mentalis"]
     kinds = {item.kind for item in found.values()}
-    assert kinds == {"tissue", "muscle", "deep", "field", "attachment", "insertion"}
+    assert kinds == {"tissue", "muscle", "deep", "field", "attachment", "insertion", "sheet"}
     for item in found.values():
         # A surface is drawn by triangles: it is no nearer to its own distances than that.
         assert item.greatest < (0.15 if item.kind == "deep" else 1e-12)
@@ -169,6 +169,19 @@ def test_fractions_of_taro(taro):
         assert values.shape == (taro.tissue.n_elements, 64)
         assert values.min() >= 0.0 and values.max() <= 1.0 and values.max() > 0.9
     assert 0.05 < taro.fraction.mean() < 0.6
+
+
+def test_the_sheet_of_taro_lies_below_the_skin_of_the_cheek(taro):
+    smas = taro.sheets["smas"]
+    places = taro.tissue.evaluate(smas.elements, smas.xi)
+    skin = taro.tissue.evaluate(smas.elements, smas.xi * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0])
+    depth = np.linalg.norm(skin - places, axis=1)
+    assert 3.5 < np.median(depth) < 4.5 and depth.min() > 2.0
+    corner = taro.landmark_points()["mouth_corner_left"]
+    # Above the mouth it ends at the fold, a little beside the corner.
+    assert places[places[:, 2] > corner[2], 0].min() > corner[0] - 8.0
+    # Stiffness times the area of half a face behind the fold (mN mm).
+    assert 400.0 * 3000.0 < smas.stiffness.sum() < 400.0 * 8000.0
 
 
 def test_tissue_of_taro_stays_outside_the_bone(taro):

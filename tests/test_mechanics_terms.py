@@ -20,6 +20,7 @@ from modiolus.mechanics import (
     Load,
     Problem,
     RigidContact,
+    Sheet,
     Springs,
     clamp,
     face_points,
@@ -97,6 +98,9 @@ def terms(mesh=MESH):
         "springs": Springs(
             mesh, rng.integers(0, 4, 12), rng.uniform(size=(12, 3)), rng.uniform(1, 50, 12)
         ),
+        "sheet": Sheet(
+            mesh, rng.integers(0, 4, 12), rng.uniform(size=(12, 3)), rng.uniform(1, 50, 12)
+        ),
         "contact": RigidContact(
             mesh, Sphere((10, 8, -30), 30.3), *inner, slide=np.full(len(inner[0]), 0.2)
         ),
@@ -128,7 +132,7 @@ def somewhere(problem, amount=0.4, seed=6):
     return rest.parameters + moved, rng.uniform(-3.0, 3.0, rest.pressure.shape)
 
 
-NAMES = ["tissue", "fibres", "gliding fibres", "springs", "contact", "all"]
+NAMES = ["tissue", "fibres", "gliding fibres", "springs", "sheet", "contact", "all"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -293,7 +297,8 @@ def test_at_rest_nothing_pushes():
     # The second muscle's passive fibres are taut at rest here, and nothing else acts.
     energies = passive_only.energies
     assert {k: v for k, v in energies.items() if k != "fibres"} == pytest.approx(
-        {"tissue": 0.0, "springs": 0.0, "contact": 0.0, "gliding fibres": 0.0}, abs=1e-10
+        {"tissue": 0.0, "springs": 0.0, "sheet": 0.0, "contact": 0.0, "gliding fibres": 0.0},
+        abs=1e-10,
     )
     assert p.penetration(rest.parameters) < 1e-12
 
@@ -317,6 +322,28 @@ def test_fibre_at_a_point_follows_the_closed_form():
     p.evaluate(moved, np.zeros(8), Load({"only": 0.3}))
     with_passive = fibre(stretch, 0.0, 1.0, FibreLaw().array())[1]
     assert (p.assembly.forces() * rate).sum() - without == pytest.approx(force - with_passive)
+
+
+@pytest.mark.parametrize("angle", [0.0, 20.0, 45.0, 70.0])
+def test_a_taut_sheet_is_alike_in_all_directions_and_a_crimped_one_slack(angle):
+    mesh = hermite.grid(
+        np.stack(np.meshgrid([0.0, 4.0], [0.0, 4.0], [0.0, 2.0], indexing="ij"), -1)
+    )
+    sheet = Sheet(mesh, [0, 0], [[0.3, 0.4, 0.5], [0.6, 0.1, 0.5]], [30.0, 50.0])
+    way = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
+
+    def energy(along, across):
+        side = np.cross([0.0, 0.0, 1.0], way)
+        gradient = np.eye(3) + along * np.outer(way, way) + across * np.outer(side, side)
+        vectors = sheet.functions @ (mesh.parameters @ gradient.T)
+        return sheet.respond(vectors, Load()).energies.sum()
+
+    # Stretched both ways the fibres have a strain a + b cos(2 t), beyond the toe all of them; a
+    # difference of the strains of a tenth changes their lengths by its square.
+    mean, half, toe = 0.25, 0.02, Sheet.TOE
+    expected = 80.0 * ((mean**2 + half**2 / 2 - toe * mean) / 2 + toe**2 / 6)
+    assert energy(mean + half, mean - half) == pytest.approx(expected, rel=2e-3)
+    assert energy(-0.1, -0.2) == 0.0
 
 
 def test_a_gliding_fibre_spans_from_bone_to_tissue():

@@ -22,7 +22,7 @@ def test_shape_places_and_volume_stay(block_head, counts):
     for name, (elements, axis, side) in block_head.sides.items():
         area = block_head.tissue.face(elements, axis, side).measures().sum()
         assert finer.tissue.face(*finer.sides[name]).measures().sum() == pytest.approx(area)
-    for kind in ("attachments", "insertions"):
+    for kind in ("attachments", "insertions", "sheets"):
         for name, item in getattr(block_head, kind).items():
             there = getattr(finer, kind)[name]
             before = block_head.tissue.evaluate(item.elements, item.xi)
@@ -62,7 +62,7 @@ def test_a_field_has_the_same_energies(block_head, counts):
         problem = face_problem(head)
         load = problem.load({"strap": 0.3})
         found.append(problem.evaluate(parameters, problem.rest().pressure, load).energies)
-    for name in ("attachments", "insertions", "fibres"):
+    for name in ("attachments", "insertions", "fibres", "smas"):
         assert found[1].get(name, 0.0) == pytest.approx(found[0].get(name, 0.0), rel=1e-3)
     # The skin is half as thick as its layer of Gauss points.
     assert found[1]["tissue"] == pytest.approx(found[0]["tissue"], rel=0.02)

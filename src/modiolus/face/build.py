@@ -25,6 +25,7 @@ from .embed import (
     move_lids,
     muscle_fraction,
     origins,
+    sheets,
 )
 from .head import Head, RigidSurface
 from .muscles import build_muscles, muscle_quality, muscle_table
@@ -110,6 +111,7 @@ def build_head(
         deep={key: RigidSurface(key, grid) for key, grid in deep.items()},
         attachments=attachments,
         insertions=insertions(tissue.mesh, muscles),
+        sheets=sheets(tissue.mesh, tissue.sides["outer"]),
         about={
             "subject": "adult male",
             "source": "BodyParts3D, release 3.0 (skin: release 4.0)",

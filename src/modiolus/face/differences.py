@@ -77,6 +77,7 @@ def differences(one: Head, other: Head) -> list[Difference]:
     count = one.tissue.n_elements
     out += _springs("attachment", one.attachments, other.attachments, count)
     out += _springs("insertion", one.insertions, other.insertions, count)
+    out += _springs("sheet", one.sheets, other.sheets, count)
     return out
 
 

@@ -22,7 +22,7 @@ from ..hermite.basis import Array, smooth_step
 from ..hermite.tessellate import tessellate
 from .head import Attachment
 from .muscle import Muscle
-from .template import COLUMNS
+from .template import COLUMNS, FOLD_COLUMN
 from .tissue import Side
 
 #: Stretch from which passive fibres are taut. The muscles of a resting face are not: a mouth
@@ -378,6 +378,35 @@ def fasciae(mesh: HermiteMesh, inner: Side) -> dict[str, Attachment]:
         place = np.insert(rule.xi, axis, float(side), axis=1)
         out[name] = Attachment(name, every[part][rule.elements], place, stiffness * rule.weights)
     return out
+
+
+#: Superficial musculoaponeurotic system (SMAS): its parts in rows and columns of the template;
+#: depth below the skin (mm) and stiffness (mN/mm). From the ear to the fold beside nose and mouth
+#: it lies over the cheek, up to the cheekbone; below the mouth it goes on to the chin, as platysma
+#: does. It thins out forward and is lost towards the middle of the face (Hu et al. 2014, Aesthet.
+#: Surg. J. 34:661-667). Its collagen is crimped, and pulled it behaves like the skin before the ear
+#: (Har-Shai et al. 1996, Plast. Reconstr. Surg. 98:59-70).
+SMAS: tuple[tuple[tuple[int, int], tuple[int, int]], ...] = (
+    ((3, 13), (FOLD_COLUMN, COLUMNS)),
+    ((3, 5), (2, FOLD_COLUMN)),
+)
+SMAS_DEPTH, SMAS_STIFFNESS = 4.0, 400.0
+
+
+def sheets(mesh: HermiteMesh, outer: Side) -> dict[str, Attachment]:
+    """Return the fibrous sheets of the tissue, by points that stand for an area of the skin."""
+    every, axis, side = outer
+    row, column = np.divmod(every, COLUMNS)
+    part = np.zeros(len(every), dtype=bool)
+    for (low, high), (first, last) in SMAS:
+        part |= (row >= low) & (row < high) & (column >= first) & (column < last)
+    rule = mesh.face(every[part], axis, side).quadrature(3)
+    elements = every[part][rule.elements]
+    ends = [np.insert(rule.xi, axis, end, axis=1) for end in (0.0, 1.0)]
+    inner, skin = (mesh.evaluate(elements, end) for end in ends)
+    place = ends[1]
+    place[:, axis] -= np.minimum(SMAS_DEPTH / np.linalg.norm(skin - inner, axis=1), 0.95)
+    return {"smas": Attachment("smas", elements, place, SMAS_STIFFNESS * rule.weights)}
 
 
 def ligaments(

@@ -105,6 +105,8 @@ class Head:
         What holds the tissue to the bone.
     insertions : dict of Attachment
         By muscle, its end that is bound to the skin above it.
+    sheets : dict of Attachment
+        Fibrous sheets in the tissue; their stiffness is that of each point times its area (mN mm).
     midplane : float
         x of the mirror plane (mm).
     about : dict
@@ -123,6 +125,7 @@ class Head:
     deep: dict[str, RigidSurface]
     attachments: dict[str, Attachment]
     insertions: dict[str, Attachment]
+    sheets: dict[str, Attachment] = field(default_factory=dict)
     midplane: float = MIDPLANE
     about: dict[str, Any] = field(default_factory=dict)
     half: Head | None = None
@@ -237,7 +240,8 @@ class Head:
         }
         for name, (elements, axis, side) in self.sides.items():
             tissue[f"side/{name}"] = np.concatenate([[axis, side], elements]).astype(np.int32)
-        for kind, items in (("attachment", self.attachments), ("insertion", self.insertions)):
+        held = {"attachment": self.attachments, "insertion": self.insertions}
+        for kind, items in {**held, "sheet": self.sheets}.items():
             for name, item in items.items():
                 values = np.column_stack([item.elements, item.xi, item.stiffness])
                 tissue[f"{kind}/{name}"] = values
@@ -313,7 +317,9 @@ class Head:
             extraction.check_format(full_check=True)
             mesh = HermiteMesh(3, _finite(tissue["parameters"]), extraction)
             sides: dict[str, Side] = {}
-            held: dict[str, dict[str, Attachment]] = {"attachment": {}, "insertion": {}}
+            held: dict[str, dict[str, Attachment]] = {
+                kind: {} for kind in ("attachment", "insertion", "sheet")
+            }
             for key, value in tissue.items():
                 kind, _, item = key.partition("/")
                 if kind == "side":
@@ -358,6 +364,7 @@ class Head:
                 },
                 attachments=held["attachment"],
                 insertions=held["insertion"],
+                sheets=held["sheet"],
                 midplane=float(_finite(np.array(table["midplane"]))),
                 about=dict(table.get("about", {})),
             )

@@ -68,6 +68,7 @@ def refined(head: Head, counts: Sequence[int]) -> Head:
         firmness=at_points(head.firmness, parent, inside).reshape(tissue.n_elements, -1),
         attachments=moved(head.attachments),
         insertions=moved(head.insertions),
+        sheets=moved(head.sheets),
     )
 
 

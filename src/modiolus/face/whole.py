@@ -65,6 +65,7 @@ def whole_head(half: Head) -> Head:
         muscles=muscles,
         attachments=of_both(half.attachments),
         insertions=of_both(half.insertions),
+        sheets=of_both(half.sheets),
         half=half,
     )
 

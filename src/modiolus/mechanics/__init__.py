@@ -27,6 +27,7 @@ from .terms import (
     GlidingQuadrature,
     Load,
     PointTerm,
+    Sheet,
     Springs,
     Tension,
 )
@@ -54,6 +55,7 @@ __all__ = [
     "Problem",
     "RigidContact",
     "Settings",
+    "Sheet",
     "SignedDistance",
     "Springs",
     "State",

@@ -14,7 +14,7 @@ from ..hermite import HermiteMesh, gauss, trapezoidal
 from .assembly import Pattern
 from .facing import Facing, Immersion, Pairs, Patches, Side
 from .laws import PAIRS, Array
-from .terms import IntArray, Load, PointTerm, Response, by_host
+from .terms import IntArray, Load, PointTerm, Response, by_host, penalty
 
 
 class SignedDistance(Protocol):
@@ -22,23 +22,6 @@ class SignedDistance(Protocol):
 
     def sample(self, points: Array) -> tuple[Array, Array, Array]:
         """Return distance (n,), gradient (n, 3) and Hessian (n, 3, 3); negative inside."""
-
-
-def penalty(depth: Array, onset: float) -> tuple[Array, Array, Array]:
-    """Return the unit penalty of a depth (n,), its slope and its second derivative.
-
-    Zero for negative depths and ``depth²/2 - …`` with unit stiffness beyond ``onset``; in
-    between the stiffness grows linearly from zero. Resting tissue touches itself and bone at
-    hundreds of points; were the stiffness to jump there, Newton's method would need three to
-    seven times as many factorisations.
-    """
-    t = np.maximum(depth, 0.0)
-    soft = t < onset
-    width = max(onset, 1e-12)
-    energy = np.where(soft, t**3 / (6.0 * width), t * (t - onset) / 2.0 + onset**2 / 6.0)
-    slope = np.where(soft, t**2 / (2.0 * width), t - onset / 2.0)
-    bend = np.where(soft, t / width, 1.0)
-    return energy, slope, bend
 
 
 class RigidContact(PointTerm):
@@ -274,7 +257,9 @@ class SurfaceContact(PointTerm):
         """Return the offsets that would keep the present forces without overlap, (n,)."""
         found = self._facing.project(parameters)
         depth = self._facing.least - found.gap + load.offsets.get(self.name, 0.0)
-        return np.where(found.host >= 0, np.maximum(depth, 0.0), 0.0)
+        # Points that were let go carry no force that could be kept.
+        pushed = (found.host >= 0) & (self._facing.share > 0.0)
+        return np.where(pushed, np.maximum(depth, 0.0), 0.0)
 
     def pressure(self, parameters: Array, load: Load) -> tuple[Array, Array]:
         """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""

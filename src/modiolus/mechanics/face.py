@@ -33,6 +33,7 @@ from .terms import (
     IntArray,
     Load,
     PointTerm,
+    Sheet,
     Springs,
 )
 
@@ -299,6 +300,10 @@ def face_problem(
     for _, cut in cuts(head):
         fixed |= clamp(mesh, *cut)
     acting: list[PointTerm] = [*terms, *fibres(head, settings, measured), *_springs(head, measured)]
+    acting += [
+        Sheet(mesh, item.elements, item.xi, item.stiffness, name)
+        for name, item in head.sheets.items()
+    ]
     acting += [*_deep_contacts(head, settings, measured), *_slit_contacts(head, settings)]
     return Problem(
         mesh,

@@ -23,7 +23,7 @@ from ..hermite import HermiteMesh, gauss
 from ..hermite.check import numbers, whole
 from . import kernels
 from .assembly import Pattern
-from .laws import Array, FibreLaw
+from .laws import PAIRS, Array, FibreLaw
 
 IntArray = NDArray[np.int64]
 
@@ -186,6 +186,23 @@ class PointTerm(ABC):
 def by_host(hosts: ArrayLike) -> IntArray:
     """Return the order that sorts points by their host."""
     return np.argsort(np.asarray(hosts), kind="stable")
+
+
+def penalty(depth: Array, onset: float) -> tuple[Array, Array, Array]:
+    """Return the unit penalty of a depth (n,), its slope and its second derivative.
+
+    Zero for negative depths and ``depth²/2 - …`` with unit stiffness beyond ``onset``; in
+    between the stiffness grows linearly from zero. Resting tissue touches itself and bone at
+    hundreds of points; were the stiffness to jump there, Newton's method would need three to
+    seven times as many factorisations.
+    """
+    t = np.maximum(depth, 0.0)
+    soft = t < onset
+    width = max(onset, 1e-12)
+    energy = np.where(soft, t**3 / (6.0 * width), t * (t - onset) / 2.0 + onset**2 / 6.0)
+    slope = np.where(soft, t**2 / (2.0 * width), t - onset / 2.0)
+    bend = np.where(soft, t / width, 1.0)
+    return energy, slope, bend
 
 
 @dataclass(frozen=True)
@@ -522,6 +539,60 @@ class Springs(PointTerm):
             k[:, None] * moved,
             np.stack([k, zero, zero, k, zero, k], axis=1),
         )
+
+
+class Sheet(PointTerm):
+    """A thin sheet of connective tissue, that resists being stretched and folds without a force.
+
+    Its fibres lie in `WAYS` directions of its plane. Those that are longer than at rest pull, by
+    the stretch ``λ``, with the energy ``k A penalty(λ - 1) / WAYS``; those that are shorter are
+    crimped. Their tension sets in over `TOE`.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+        Tissue at rest. The sheet lies where ``xi3`` is constant.
+    elements, xi : (n,), (n, 3) arrays
+    stiffness : (n,) array
+        ``k A`` of each point (mN mm): of the sheet (mN/mm) times the area.
+    name : str
+    """
+
+    #: Directions of fibres. With three and more a sheet that is taut is alike in all directions.
+    WAYS = 4
+    #: Strain over which tension sets in.
+    TOE = 0.02
+
+    def __init__(
+        self,
+        mesh: HermiteMesh,
+        elements: ArrayLike,
+        xi: ArrayLike,
+        stiffness: ArrayLike,
+        name: str = "sheet",
+    ) -> None:
+        order = np.repeat(by_host(elements), self.WAYS)
+        elements, xi = np.asarray(elements)[order], np.asarray(xi, dtype=float)[order]
+        first, second = np.moveaxis(mesh.jacobian(elements, xi), 2, 0)[:2]
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        second -= (first * second).sum(axis=1)[:, None] * first
+        second /= np.linalg.norm(second, axis=1)[:, None]
+        angle = np.pi / self.WAYS * (np.arange(len(order)) % self.WAYS)[:, None]
+        directions = np.cos(angle) * first + np.sin(angle) * second
+        super().__init__(name, fibre_functions(mesh, elements, xi, directions), elements)
+        self.stiffness = numbers(f"{name}: stiffness", stiffness, None)[order] / self.WAYS
+
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
+        """Evaluate the energy of the stretch ``|F f0|``."""
+        stretch = np.linalg.norm(vectors, axis=1)
+        along = vectors / stretch[:, None]
+        energy, slope, bend = (self.stiffness * part for part in penalty(stretch - 1.0, self.TOE))
+        across = slope / stretch
+        stiffness = (bend - across)[:, None] * np.stack(
+            [along[:, i] * along[:, j] for i, j in PAIRS], axis=1
+        )
+        stiffness[:, [i == j for i, j in PAIRS]] += across[:, None]
+        return Response(energy, slope[:, None] * along, stiffness)
 
 
 class DeadForces(PointTerm):
