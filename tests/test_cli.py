@@ -19,8 +19,10 @@ from modiolus import __version__
 from modiolus.cli import main
 from modiolus.cli.catalogue import ALONE
 from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.cli.simulate import describe, heading
 from modiolus.compiling import compiler, working_time
 from modiolus.errors import InputError, SolveError
+from modiolus.face.expression import Expression
 from modiolus.face.head import Head
 from modiolus.mechanics import Settings, continuation
 from modiolus.mechanics.face import FaceSettings
@@ -189,6 +191,34 @@ def test_beam_prints_one_json_object(run, tmp_path):
     assert abs(record["twist_deg"]) < 1e-3
     assert (tmp_path / record["files"]["picture"]).read_bytes()[:4] == b"\x89PNG"
     assert json.loads((tmp_path / record["files"]["report"]).read_text()) == record
+
+
+def test_a_heading_says_what_was_asked_for():
+    smile = Expression.shipped("smile-closed")
+    assert heading(smile, {}) == smile.title
+    assert heading(smile, {"risorius": 0.0}, palsy="right") == (
+        f"{smile.title}, risorius 0, right side palsied"
+    )
+    assert heading(Expression("custom"), {}, jaw_open=20.0) == "jaw open by 20°"
+    many = dict.fromkeys("abcdef", 0.5)
+    assert heading(Expression("custom"), many) == "a 0.5, b 0.5, c 0.5, d 0.5, …"
+
+
+def test_the_landmark_that_moved_most_is_told():
+    def record(left, right, seconds=0.0):
+        points = {"mouth_corner_left": left, "mouth_corner_right": right, "chin": 1.0}
+        return {
+            **{"expression": "sad", "head": "taro", "steps": 4, "newton_iterations": 20},
+            **{"solve_s": 8.0, "compile_s": seconds},
+            "landmarks": {n: {"displacement": [0.0, 0.0, far]} for n, far in points.items()},
+            "files": {"picture": "face.png", "report": "report.json"},
+        }
+
+    assert "8.0 s; the mouth corner moved most, 3.0 mm\n" in describe(record(3.0, 3.0))
+    sides = "the mouth corner moved most, 0.0 mm on the left and 3.0 mm on the right\n"
+    assert sides in describe(record(0.0, 3.0))
+    assert "the chin moved most, 1.0 mm\n" in describe(record(0.0, 0.0))
+    assert "8.0 s beside 27 s of compiling; " in describe(record(3.0, 3.0, 27.0))
 
 
 def test_quiet_says_nothing(run):

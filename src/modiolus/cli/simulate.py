@@ -34,6 +34,11 @@ if TYPE_CHECKING:
     from modiolus.mechanics import Interrupted, LoadNotReached, State
     from modiolus.scans.result import Result
 
+#: Name of what has muscles but no expression.
+CUSTOM = "custom"
+#: Muscles that the heading of a picture names at most.
+MOST_NAMED = 4
+
 
 @app.command(
     epilog=examples(
@@ -110,7 +115,7 @@ def simulate(
     if expression:
         wanted = Expression.named(expression)
     elif given or jaw_open is not None:
-        wanted = Expression("custom")
+        wanted = Expression(CUSTOM)
     else:
         raise InputError("EXPRESSION: none given; name one, a TOML file, or use --activation")
     jaw = opening(wanted.jaw_open if jaw_open is None else jaw_open)
@@ -124,7 +129,7 @@ def simulate(
         from modiolus.mechanics import Interrupted, LoadNotReached
 
         runner = Runner(chosen, quiet, head, parameters)
-        title = f"{wanted.title or wanted.name}, {palsy} side palsied" if palsy else wanted.title
+        title = heading(wanted, given, jaw_open, palsy)
         begin = None if earlier is None else _begin(runner, earlier, start)
         try:
             state = runner.solve(wanted.name, activations, jaw, begin)
@@ -132,7 +137,7 @@ def simulate(
             if error.reached == 0.0:
                 raise
             Interruption.heed()
-            place = _stopped(runner, error, wanted, target, began)
+            place = _stopped(runner, error, wanted.name, title, target, began)
             kind = SolveError if isinstance(error, LoadNotReached) else Stopped
             raise kind(f"{error}; the state there is in {place}") from None
         record = runner.write(wanted.name, title, state, folder, target, began)
@@ -169,16 +174,34 @@ def _begin(runner: Runner, earlier: Result, folder: str) -> State:
 def _stopped(
     runner: Runner,
     error: LoadNotReached | Interrupted,
-    wanted: Expression,
+    name: str,
+    title: str,
     target: Path,
     began: float,
 ) -> Path:
     """Write the last state on the way to a load that was not reached; return its folder."""
     place = target.with_name(f"{target.name}-stopped")
-    title = f"{wanted.title or wanted.name}, stopped at {error.reached:.0%}"
+    title = f"{title}, stopped at {error.reached:.0%}"
     with whole_folder(place, marker="report.json") as folder:
-        runner.write(wanted.name, title, error.state.short(), folder, place, began)
+        runner.write(name, title, error.state.short(), folder, place, began)
     return place
+
+
+def heading(
+    wanted: Expression,
+    given: Mapping[str, float],
+    jaw_open: float | None = None,
+    palsy: str = "",
+) -> str:
+    """Say what a picture shows: the expression, and what was asked for on top of it."""
+    parts = [wanted.title or wanted.name] if wanted.name != CUSTOM else []
+    shown = [f"{name.replace('_', ' ')} {value:g}" for name, value in given.items()]
+    parts += [*shown[:MOST_NAMED], *["…"] * (len(shown) > MOST_NAMED)]
+    if jaw_open is not None:
+        parts.append(f"jaw open by {jaw_open:g}°")
+    if palsy:
+        parts.append(f"{palsy} side palsied")
+    return ", ".join(parts)
 
 
 def describe(record: dict[str, Any]) -> str:

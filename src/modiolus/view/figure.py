@@ -222,10 +222,15 @@ def histogram(
             pen.text((column(value), foot + 4), f"{value:.3g}", _FAINT, font, anchor="ma")
         pen.text(((left + right) / 2, foot + 1.5 * text), scale.label, _FAINT, font, anchor="ma")
         pen.text((left, top - 1.5 * text), f"share of the area, up to {tallest:.0%}", _FAINT, font)
-        for row, (name, value) in enumerate(marks):
-            at = column(min(max(value, scale.low), scale.high))
+        places = [column(min(max(value, scale.low), scale.high)) for _, value in marks]
+        for at in places:
             pen.line([(at, top), (at, foot)], _INK)
-            pen.text((at + 4, top + 1.2 * text * row), f"{name} {value:.2f}", _INK, font)
+        for row, (at, (name, value)) in enumerate(zip(places, marks, strict=True)):
+            # On the side where there is room, with paper around it: other lines pass behind.
+            to_left = at > left + 0.7 * (right - left)
+            place = at - 4 if to_left else at + 4, top + 1.2 * text * row
+            note, anchor = f"{name} {value:.2f}", "ra" if to_left else "la"
+            pen.text(place, note, _INK, font, anchor, stroke_width=3, stroke_fill=_PAPER)
         return picture
 
     return chart
