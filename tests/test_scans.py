@@ -1,6 +1,7 @@
 """Scans: what is read and refused, alignment, distances, and activations found from them."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from modiolus import hermite
 from modiolus.anatomy.surface import Surface
 from modiolus.cli import main
 from modiolus.cli.compare import text_table
-from modiolus.errors import InputError
+from modiolus.errors import InputError, SolveError
+from modiolus.face.expression import Expression
 from modiolus.face.landmarks import read_landmarks
 from modiolus.fitting.register import Registration
 from modiolus.mechanics import (
@@ -21,6 +23,7 @@ from modiolus.mechanics import (
     Settings,
     clamp,
 )
+from modiolus.mechanics.face import Face
 from modiolus.scans import read_scan
 from modiolus.scans.align import align_to_neutral, place, register_scan
 from modiolus.scans.compare import compare, figures
@@ -457,6 +460,45 @@ def test_compare_writes_page_picture_and_report(capsys, taro, skin, tmp_path):
     assert record["still"]["rms_mm"] < 0.05
     assert record["error"]["rms_mm"] > 1.0
     page = (tmp_path / "result" / "compare-scan" / "compare.html").read_text()
+    assert page.count("data:image/png;base64,") == 1
+
+
+def test_validate_computes_expressions_and_tells_those_that_fail(
+    capsys, taro, skin, tmp_path, monkeypatch
+):
+    rest = taro.tissue.parameters
+    moved = rest.copy()
+    moved[:, 1] -= 2.0 * taro.both.ones
+    folder = tmp_path / "anna"
+    folder.mkdir()
+    for name, parameters in (("neutral", rest), ("sad", moved), ("terror", moved), ("mine", rest)):
+        write_ply(folder / f"{name}.ply", skin.surface(parameters))
+
+    def solve(face, activations, jaw_open=0.0, start=None, report=None):
+        if "corrugator_supercilii" not in activations:
+            raise SolveError("the tissue cannot follow; take less")
+        return SimpleNamespace(parameters=moved)
+
+    monkeypatch.setattr(Face, "solve", solve)
+    sad = Expression.shipped("sad").activations
+    monkeypatch.setattr(
+        Expression,
+        "shipped",
+        lambda name: Expression(name, sad if name == "sad" else {"mentalis": 0.1}),
+    )
+    code, out, error = run(
+        capsys,
+        *("validate", folder, "--head", "taro", "--activations", "hand", "--posed"),
+        *("--expressions", "terror,sad", "--out", tmp_path / "out", "--json", "--quiet"),
+    )
+    assert (code, error.count("\n")) == (1, 1) and "terror" in error
+    first, second = json.loads(out)["table"]
+    # The paper's order; the scans are in one frame and have not been aligned again.
+    assert (first["expression"], second["expression"]) == ("sad", "terror")
+    assert first["rms_mm"] < 0.05 and first["explained"] > 0.95
+    assert first["matched"]["still_rms_mm"] == pytest.approx(2.0, abs=0.01)
+    assert second["rms_mm"] is None and "cannot follow" in second["fault"]
+    page = (tmp_path / "out" / "validate-anna" / "validate.html").read_text()
     assert page.count("data:image/png;base64,") == 1
 
 
