@@ -195,12 +195,20 @@ class Assembly:
         """Values of element tangents that go into the matrix, and entries that it has."""
         return len(self._sources), len(self._indices)
 
-    def clear(self) -> None:
-        """Set all element arrays to zero."""
-        self._values[:] = 0.0
-        for group in self.groups:
+    def clear(self, tangents: bool) -> None:
+        """Set the element arrays to zero but the first pattern's, which `kernels.bulk` fills.
+
+        Parameters
+        ----------
+        tangents : bool
+            Whether tangents and couplings too.
+        """
+        for group in self.groups[1:]:
             group.residual[:] = 0.0
             group.pressure_residual[:] = 0.0
+            if tangents:
+                group.tangent[:] = 0.0
+                group.coupling[:] = 0.0
 
     def forces(self) -> Array:
         """Return the residual of every parameter, fixed ones included, (n_params, 3)."""

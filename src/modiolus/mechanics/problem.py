@@ -454,11 +454,7 @@ class Problem:
         With ``convex`` the tangent leaves out what can make contacts and fibres unstable.
         """
         base = self.assembly.groups[0]
-        if tangent:
-            self.assembly.clear()
-        else:
-            for group in self.assembly.groups:
-                group.residual[:] = 0.0
+        self.assembly.clear(tangents=tangent)
         volume_ratio = np.empty(self.weights.shape)
         energies = {
             "tissue": float(
