@@ -25,7 +25,7 @@ from ..hermite.basis import Array
 from ..progress import Report
 from .aligned import Aligned
 from .deform import Host, Map, SkinPlaces, deformed, fitted, margin_targets, spread, unfolded
-from .embed import bring_inside
+from .embed import bring_inside, sheets
 from .gates import inside_shares, least_volume, neck_height
 from .head import Head, RigidSurface
 from .margins import Margins, find_margins
@@ -89,7 +89,11 @@ def carried_head(
     deep = {key: _rigid(item, whole.bone, aligned.size) for key, item in head.deep.items()}
     if "eyeball" in deep:
         deep["eyeball"] = _eyeball(head, after)
-    morphed = replace(head, name=name, tissue=after, muscles=muscles, deep=deep, about={})
+    # Fibrous sheets stand for areas of the skin, which have changed with the size.
+    laid = sheets(after, head.sides["outer"]) if head.sheets else {}
+    morphed = replace(
+        head, name=name, tissue=after, muscles=muscles, deep=deep, sheets=laid, about={}
+    )
     return morphed, edges
 
 
