@@ -93,6 +93,8 @@ def test_help_has_the_usual_values_of_the_settings(run):
         (["simulate", "gone.toml"], ["gone.toml", "cannot be read"]),
         (["simulate", "smile-closed", "--head", "tara"], ["tara", "taro"]),
         (["simulate", "smile-closed", "--head", "./nowhere"], ["nowhere"]),
+        (["simulate", "smile-closed", "--head", "."], [".: not a head's directory"]),
+        (["simulate", "smile-closed", "--head", ""], ["'': not a head's directory"]),
         (["simulate", "--activation", "mentalis"], ["--activation mentalis", "name=value"]),
         (["simulate", "--activation", "mentalis=much"], ["--activation mentalis=much", "number"]),
         (["simulate", "--activation", "mentalus=0.5"], ["mentalus", "did you mean mentalis"]),
@@ -139,6 +141,7 @@ def test_bad_input_is_one_line(run, tmp_path, arguments, words, as_json):
         ("", ["no activations"]),
         ("[activations]\n", ["no activations"]),
         ("[activations]\nmentalis = 'much'\n", ["mentalis", "0 to 1"]),
+        ("title = 3\n[activations]\nmentalis = 0.2\n", ["my.toml", "title"]),
         ("[activations]\nmentalis = true\n", ["mentalis", "0 to 1"]),
         ("[activations]\nmentalis = nan\n", ["mentalis", "nan"]),
         ("[activations]\nmentalis = 1.5\n", ["my.toml", "mentalis", "1.5", "0 to 1"]),
@@ -149,6 +152,13 @@ def test_bad_input_is_one_line(run, tmp_path, arguments, words, as_json):
 def test_bad_expression_file_is_one_line(run, tmp_path, text, words):
     (tmp_path / "my.toml").write_text(text)
     assert_refused(run("simulate", "my.toml"), *words)
+
+
+def test_an_expression_file_has_its_ending(run, tmp_path):
+    (tmp_path / "my.txt").write_text("[activations]\nmentalis = 7\n")
+    (tmp_path / "my.TOML").write_text("[activations]\nmentalis = 7\n")
+    assert_refused(run("simulate", "my.txt"), "my.txt", "end its name in .toml")
+    assert_refused(run("simulate", "my.TOML"), "my.TOML", "mentalis is 7")
 
 
 def test_no_place_for_compiled_kernels_is_one_line(run, monkeypatch):

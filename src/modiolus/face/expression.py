@@ -81,8 +81,18 @@ class Expression:
 
     @classmethod
     def named(cls, name: str) -> Expression:
-        """Return a shipped expression by its name, or read the TOML file of that name."""
-        return cls.read(name) if name.endswith(".toml") else cls.shipped(name)
+        """Return a shipped expression by its name, or read the TOML file of that name.
+
+        Raises
+        ------
+        InputError
+            There is no such expression, or the file cannot be used.
+        """
+        if name.lower().endswith(".toml"):
+            return cls.read(name)
+        if name not in expression_names() and Path(name).is_file():
+            raise InputError(f"{name}: not called a TOML file; end its name in .toml")
+        return cls.shipped(name)
 
     @classmethod
     def _checked(cls, name: str, content: Mapping[str, object], where: str) -> Expression:
@@ -99,7 +109,9 @@ class Expression:
             muscle: _number(value, f"{where}: activation of {muscle}", 1.0)
             for muscle, value in table.items()
         }
-        title, source = str(content.get("title", "")), str(content.get("source", ""))
+        title, source = (content.get(key, "") for key in ("title", "source"))
+        if not isinstance(title, str) or not isinstance(source, str):
+            raise InputError(f"{where}: title or source is no text; put it in quotes")
         return cls(name, activations, title, source, jaw)
 
 

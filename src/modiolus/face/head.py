@@ -297,10 +297,12 @@ class Head:
             with as_file(_SHIPPED / text) as folder:
                 return cls._read(Path(folder))
         folder = Path(name)
-        if folder.is_dir():
+        if (folder / "head.toml").is_file():
             return cls._read(folder)
         if folder.exists() or "/" in text:
-            raise InputError(f"{name}: not a head's directory; name one that holds head.toml")
+            raise InputError(
+                f"{text or repr(text)}: not a head's directory; name one that holds head.toml"
+            )
         raise unknown_name("head", text, head_names())
 
     @classmethod
