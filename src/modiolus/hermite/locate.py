@@ -80,6 +80,25 @@ def _evaluate(dim, coefficients, local, xi, x, tangents):  # type: ignore[no-unt
 
 
 @njit(cache=True)
+def _solved(dim, matrix, right):  # type: ignore[no-untyped-def]
+    """Return ``-matrix⁻¹ right`` of a positive definite matrix by elimination; both overwritten.
+
+    Compiling NumPy's solver takes longer than all the rest of this file.
+    """
+    for k in range(dim):
+        for m in range(k + 1, dim):
+            factor = matrix[m, k] / matrix[k, k]
+            right[m] -= factor * right[k]
+            for n in range(k, dim):
+                matrix[m, n] -= factor * matrix[k, n]
+    for k in range(dim - 1, -1, -1):
+        for n in range(k + 1, dim):
+            right[k] += matrix[k, n] * right[n]
+        right[k] /= -matrix[k, k]
+    return right
+
+
+@njit(cache=True)
 def _closest(dim, coefficients, local, point, start, xi):  # type: ignore[no-untyped-def]
     """Projected Gauss-Newton for the closest point of one element; returns its distance."""
     x = np.empty(3)
@@ -109,7 +128,7 @@ def _closest(dim, coefficients, local, point, start, xi):  # type: ignore[no-unt
             else:
                 gram[m, m] *= 1.0 + 1e-10
                 gram[m, m] += 1e-14
-        step = np.linalg.solve(gram, -gradient)
+        step = _solved(dim, gram, gradient)
         moved = 0.0
         factor = 1.0
         accepted = False

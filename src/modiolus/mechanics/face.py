@@ -72,8 +72,8 @@ class FaceSettings:
     Raises
     ------
     InputError
-        The parameter set is not known, a number is not finite or negative, or 0 where nothing
-        would hold the tissue, pull it or keep it from overlapping.
+        The parameter set is not known, a number is negative, beyond all tissue or no number, or 0
+        where nothing would hold the tissue, pull it or keep it from overlapping.
     """
 
     muscle: str = "wu2013"
@@ -94,13 +94,15 @@ class FaceSettings:
         for name in (item.name for item in fields(self) if item.name != "muscle"):
             value = getattr(self, name)
             least = 0.0 if name in _MAY_BE_ZERO else np.finfo(float).tiny
-            if not least <= value < np.inf:
-                bound = "from 0 up" if name in _MAY_BE_ZERO else "above 0"
-                raise InputError(f"{name}: {value:g} is no finite number {bound}; mend it")
+            if not least <= value <= _MOST:
+                bound = "from 0" if name in _MAY_BE_ZERO else "above 0"
+                raise InputError(f"{name}: {value:g}; give a number {bound} up to {_MOST:g}")
         if self.gauss_order not in range(3, 9):
             raise InputError(f"gauss_order: {self.gauss_order:g} points; give 3 to 8")
 
 
+#: Bone has some 1e7 kPa; nothing that is to deform here is within a tenth of it.
+_MOST = 1e6
 _MAY_BE_ZERO = ("kappa", "skin", "slide", "reach")
 #: Thickness of the skin (mm): its dermis has 0.8 to 2.0 mm in the face.
 DERMIS = 1.5

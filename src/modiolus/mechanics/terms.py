@@ -556,6 +556,7 @@ class Sheet(PointTerm):
     stiffness : (n,) array
         ``k A`` of each point (mN mm): of the sheet (mN/mm) times the area.
     name : str
+        For messages and reports.
     """
 
     #: Directions of fibres. With three and more a sheet that is taut is alike in all directions.
