@@ -143,6 +143,73 @@ def closest_of(local: Any, point: Any, xi: Any, functions: Any, values: Any) -> 
 
 
 @njit(cache=True)
+def _sampled(parameters: Any, patches: Any, extraction: Any) -> Any:
+    """Return the local parameters of patches (f, 16, 3), samples of them and their widths in mm."""
+    n_patches, m = patches.shape
+    local = np.zeros((n_patches, 16, 3))
+    samples = np.zeros((n_patches, SAMPLES * SAMPLES, 3))
+    size = np.zeros(n_patches)
+    functions = np.empty((6, 16))
+    for f in range(n_patches):
+        for k in range(16):
+            for a in range(m):
+                e = extraction[f, k, a]
+                if e != 0.0:
+                    for i in range(3):
+                        local[f, k, i] += e * parameters[patches[f, a], i]
+        for c in range(SAMPLES * SAMPLES):
+            patch_functions(
+                (c % SAMPLES + 0.5) / SAMPLES, (c // SAMPLES + 0.5) / SAMPLES, functions
+            )
+            for k in range(16):
+                for i in range(3):
+                    samples[f, c, i] += functions[0, k] * local[f, k, i]
+        for i in range(3):
+            size[f] += (samples[f, 0, i] - samples[f, SAMPLES * SAMPLES - 1, i]) ** 2
+        size[f] = np.sqrt(size[f])
+    return local, samples, size
+
+
+@njit(cache=True)
+def _nearest(samples: Any, point: Any, seed: Any) -> Any:
+    """Write where the nearest sample of a patch is, and return the square of its distance."""
+    least = np.inf
+    for q in range(SAMPLES * SAMPLES):
+        d = 0.0
+        for i in range(3):
+            d += (point[i] - samples[q, i]) ** 2
+        if d < least:
+            least = d
+            seed[0] = (q % SAMPLES + 0.5) / SAMPLES
+            seed[1] = (q // SAMPLES + 0.5) / SAMPLES
+    return least
+
+
+@njit(cache=True)
+def _overhang(xi: Any, inner: Any) -> Any:
+    """Return how far local coordinates are outside a patch.
+
+    Beyond the surface's border the patch that ends there goes on, not its neighbours.
+    """
+    out = 0.0
+    for edge in range(4):
+        over = xi[edge // 2] - 1.0 if edge % 2 else -xi[edge // 2]
+        out += max(over, 0.0) * (ASIDE if inner[edge] else 1.0)
+    return out
+
+
+@njit(cache=True)
+def _height(values: Any, point: Any) -> Any:
+    """Return how far a point is along the normal of the tangents ``values[1:3]``."""
+    n0 = values[1, 1] * values[2, 2] - values[1, 2] * values[2, 1]
+    n1 = values[1, 2] * values[2, 0] - values[1, 0] * values[2, 2]
+    n2 = values[1, 0] * values[2, 1] - values[1, 1] * values[2, 0]
+    along = n0 * (point[0] - values[0, 0])
+    along += n1 * (point[1] - values[0, 1]) + n2 * (point[2] - values[0, 2])
+    return along / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+
+
+@njit(cache=True)
 def project(
     parameters: Any,
     patches: Any,
@@ -189,33 +256,10 @@ def project(
         to a neighbour it counts `ASIDE` times. Infinite for points beside the surface, 0 for those
         that are far away.
     """
-    n_patches, m = patches.shape
-    local = np.zeros((n_patches, 16, 3))
-    samples = np.zeros((n_patches, SAMPLES * SAMPLES, 3))
-    size = np.zeros(n_patches)
-    functions = np.empty((6, 16))
-    for f in range(n_patches):
-        for k in range(16):
-            for a in range(m):
-                e = extraction[f, k, a]
-                if e != 0.0:
-                    for i in range(3):
-                        local[f, k, i] += e * parameters[patches[f, a], i]
-        for c in range(SAMPLES * SAMPLES):
-            patch_functions(
-                (c % SAMPLES + 0.5) / SAMPLES, (c // SAMPLES + 0.5) / SAMPLES, functions
-            )
-            for k in range(16):
-                for i in range(3):
-                    samples[f, c, i] += functions[0, k] * local[f, k, i]
-        for i in range(3):
-            size[f] += (samples[f, 0, i] - samples[f, SAMPLES * SAMPLES - 1, i]) ** 2
-        size[f] = np.sqrt(size[f])
-    values = np.empty((6, 3))
-    trial = np.empty(2)
-    found = np.empty(2)
-    seed = np.empty((n_patches, 2))
-    nearest = np.empty(n_patches)
+    local, samples, size = _sampled(parameters, patches, extraction)
+    functions, values = np.empty((6, 16)), np.empty((6, 3))
+    trial, found = np.empty(2), np.empty(2)
+    seed, nearest = np.empty((len(patches), 2)), np.empty(len(patches))
     host[:] = -1
     gap[:] = np.inf
     outside[:] = 0.0
@@ -226,15 +270,7 @@ def project(
                 f = candidates[p, c]
                 if f < 0 or part[f] != side:
                     continue
-                nearest[f] = np.inf
-                for q in range(SAMPLES * SAMPLES):
-                    d = 0.0
-                    for i in range(3):
-                        d += (points[p, i] - samples[f, q, i]) ** 2
-                    if d < nearest[f]:
-                        nearest[f] = d
-                        seed[f, 0] = (q % SAMPLES + 0.5) / SAMPLES
-                        seed[f, 1] = (q // SAMPLES + 0.5) / SAMPLES
+                nearest[f] = _nearest(samples[f], points[p], seed[f])
                 close = close or nearest[f] < (size[f] + DEEPEST) ** 2
             # The patches in the order of their nearest sample, until none can be closer.
             patch = -1
@@ -255,26 +291,10 @@ def project(
                 trial[:] = seed[chosen]
                 if not closest_of(local[chosen], points[p], trial, functions, values):
                     continue
-                # Beyond the surface's border the patch that ends there goes on, not its neighbours.
-                out = 0.0
-                for edge in range(4):
-                    over_edge = trial[edge // 2] - 1.0 if edge % 2 else -trial[edge // 2]
-                    out += max(over_edge, 0.0) * (ASIDE if inner[chosen, edge] else 1.0)
+                out = _overhang(trial, inner[chosen])
                 if out > beyond:
                     continue
-                n0 = values[1, 1] * values[2, 2] - values[1, 2] * values[2, 1]
-                n1 = values[1, 2] * values[2, 0] - values[1, 0] * values[2, 2]
-                n2 = values[1, 0] * values[2, 1] - values[1, 1] * values[2, 0]
-                length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-                g = (
-                    sign[chosen]
-                    / length
-                    * (
-                        n0 * (points[p, 0] - values[0, 0])
-                        + n1 * (points[p, 1] - values[0, 1])
-                        + n2 * (points[p, 2] - values[0, 2])
-                    )
-                )
+                g = sign[chosen] * _height(values, points[p])
                 if out < over - 1e-9 or (out <= 1e-9 and abs(g) < abs(least)):
                     patch, least, over = chosen, g, out
                     found[:] = trial
