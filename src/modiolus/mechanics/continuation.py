@@ -24,6 +24,15 @@ from .linear import LinearSolver, best_solver, symmetric_product
 from .problem import Evaluation, Problem, State
 from .terms import Load
 
+#: Factorisations of a step after which the next is as long, and how much it may change at once.
+EASY = 8.0
+CHANGE = 0.7, 2.5
+#: Parts of a correction that the next may have for the factors to stay: above and below tolerance.
+GOOD, FAIR = 0.4, 0.7
+#: Damping, in multiples of the first diagonal: below the least there is none; the first where the
+#: tangent leads astray; beyond the most a step, or a relaxation, is given up.
+LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING, MOST_VISCOSITY = 0.03, 0.1, 20.0, 1e4
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -240,7 +249,7 @@ class Continuation:
                     raise LoadNotReached(text, reached, self.state) from None
                 self._jumps += 1
             work = max(self._factorisations - before, 1)
-            step = (target - reached) * float(np.clip(8.0 / work, 0.7, 2.5))
+            step = (target - reached) * float(np.clip(EASY / work, *CHANGE))
             self._reached = reached = target
             self._keep(state, steps, began)
             if reached < 1.0 and steps >= settings.max_steps:
@@ -470,8 +479,8 @@ class Continuation:
                         here.parameters, here.pressure, load, convex=True, damping=damping
                     )
                     continue
-                damping = max(10.0 * damping, 0.1)
-                if damping > 20.0:
+                damping = max(10.0 * damping, FIRST_DAMPING)
+                if damping > MOST_DAMPING:
                     raise self._fault("no damping makes the corrections descend", evaluation)
                 self._refactorise(damping)
             here, following, full = found
@@ -481,7 +490,7 @@ class Continuation:
                 # Where contacts switch, corrections need not shrink any more.
                 return self._converged(here, load, max(size, after))
             # Corrections that are damped, or hardly shrink, are small far from equilibrium too.
-            if full and damping == 0.0 and after < (0.4 if after > tolerance else 0.7) * size:
+            if full and damping == 0.0 and after < (GOOD if after > tolerance else FAIR) * size:
                 here, size, settled = self._settle(here, following, load, enough)
                 if settled:
                     return self._converged(here, load, size)
@@ -491,10 +500,10 @@ class Continuation:
                 # Whether they are as short as that only corrections without damping tell.
                 damping = 0.0
             elif full or done < settings.patience:
-                damping = 0.0 if damping < 0.03 else 0.2 * damping
+                damping = 0.0 if damping < LEAST_DAMPING else 0.2 * damping
             else:
                 # Contacts stand in the way of one correction after the other: slide round them.
-                damping = max(3.0 * damping, 0.03)
+                damping = max(3.0 * damping, LEAST_DAMPING)
         raise self._fault(f"{settings.max_iterations} iterations were not enough", evaluation)
 
     def _relax(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:
@@ -523,12 +532,12 @@ class Continuation:
                     found = self._search(here, change, size, load, tolerance)
                 if found is None:
                     viscosity *= 4.0
-                    if viscosity > 1e4:
+                    if viscosity > MOST_VISCOSITY:
                         raise self._fault("no viscosity keeps the tissue whole", evaluation)
                     self._refactorise(viscosity)
             self._iterations += 1
             here, following, full = found
-            if viscosity < 0.03 and full and problem.size(following) < 0.5 * size:
+            if viscosity < LEAST_DAMPING and full and problem.size(following) < 0.5 * size:
                 break
             viscosity *= 0.3
         self._at_hand = False
