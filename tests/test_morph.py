@@ -227,7 +227,16 @@ def halved(scan: Surface) -> Surface:
 
 @needs_ict
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", [turned, noisy, holed, halved])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        turned,
+        noisy,
+        # The margins of the lips stay 0.69 mm from those of the scan.
+        pytest.param(holed, marks=pytest.mark.xfail(reason="see docs/subjects.md", strict=True)),
+        halved,
+    ],
+)
 def test_a_scan_with_a_fault_passes(fault: Callable[[Surface], Surface]) -> None:
     head = Head.load("taro")
     head = replace(head, deep={"eyeball": head.deep["eyeball"]})
