@@ -156,9 +156,9 @@ class SurfaceContact(PointTerm):
         by default 4 x 4 Gauss points or, with flanks, 5 x 5 points of the trapezoidal rule.
         `segments` makes those that integrate the pressure exactly between meshes that do not match.
     flanks : pair of sequences of (elements, axis, side), optional
-        Other sides of the elements of slave and master. They end the bodies: points before those
-        of the master are outside it, and `update` chooses where a point is pushed out. Those of
-        the slave are pushed as the slave is. Without flanks the body has no end.
+        Other sides of the elements of slave and master. Those of the master end its body: points
+        before them are outside it, and `update` chooses where a point is pushed out. Those of
+        the slave are watched for overlap, not pushed. Without flanks the body has no end.
     name : str
 
     Attributes
@@ -185,7 +185,7 @@ class SurfaceContact(PointTerm):
         super().__init__(name, sp.csr_matrix((0, mesh.n_params)), [])
         if not stiffness >= 0.0:
             raise InputError(f"{name}: stiffness {stiffness} is not a number from 0 up; mend it")
-        first, second = Patches.of(mesh, slave, *flanks[0]), Patches.of(mesh, master, *flanks[1])
+        first, second = Patches.of(mesh, slave), Patches.of(mesh, master, *flanks[1])
         if points is None:
             # The edges of a body that has flanks are what may cut into another.
             points = first.points(*(trapezoidal(2, 5) if flanks[1] else gauss(2, 4)))
@@ -203,7 +203,7 @@ class SurfaceContact(PointTerm):
         return self._pairs.pattern
 
     def update(self, parameters: Array) -> None:
-        """Choose what may push each point out of the master, and let go those that slid off it.
+        """Choose what pushes each point out of the master, and let go those that slid off it.
 
         Both stand still within a load step: beyond its border the master is only its tangent
         plane, on which lips would turn each other, and points at an edge would come and go.

@@ -7,10 +7,9 @@ border of the patch, the neighbours are asked; beyond the border of the whole su
 patch goes on straight for its own width.
 
 The body behind a master may end at flanks as well, as a lip does at the skin and at the mouth.
-A point is inside it when it lies below the master and below all of its flanks, and the part that
-it is least below pushes it out again. Which parts may is decided once a load step, by where the
-point then is: a lip that slides out over the edge of the other is let go there, one that lies
-before the other meets its flank, and one that is pressed down far from an edge is pushed back.
+A point is inside it when it lies below the master and below all of its flanks. Which of them
+pushes it out again is decided once a load step, by where it then is: a lip that slides out over
+the edge of the other is let go there, and one that lies before the other meets its flank.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ FREE = 0.5
 SHALLOW = 0.5
 #: Overlap (mm) up to which a point that begins a load step inside a body belongs to a side of it.
 SETTLED = 1.0
-#: Parts of a body that a point is less below than this (mm) as a load step begins may push it.
-NEARBY = 0.4
+#: Distance (mm) from the edge to a flank over which points are let go that slide out there.
+EDGE = 0.15
 #: How many times a width beyond an edge to a neighbour counts, which is there to be met instead.
 ASIDE = 4.0
 #: Widths of a patch beyond the border of a surface at which points are let go.
@@ -586,33 +585,28 @@ class Facing:
         return out
 
     def settle(self, parameters: Array) -> None:
-        """Decide which parts of the master may push each point out of its body, and how much.
+        """Decide which part of the master pushes each point out of its body, and how much.
 
-        The master itself may push all that lie above it or hardly below, else the flank does that
-        they lie before, or are least behind. So may every part that is `NEARBY`.
+        It is the master itself for all that lie above it or hardly below, else the flank that
+        they lie before, or are least behind. Points before any other part are outside the body.
         """
         found = self._all(parameters)
         gap = np.where(found.host >= 0, found.gap, -np.inf)
+        self._part = np.where(gap[:, 0] > -SETTLED, 0, np.argmax(gap, axis=1))
         each = np.arange(len(gap))
-        self._may = gap > -NEARBY
-        self._may[each, np.where(gap[:, 0] > -SETTLED, 0, np.argmax(gap, axis=1))] = True
-        part = self._pushing(found)
-        outside = found.outside[each, part]
-        deeper = self.least - found.gap[each, part]
+        outside = found.outside[each, self._part]
+        deeper = self.least - found.gap[each, self._part]
+        gap[each, self._part] = -np.inf
+        behind = np.clip(-gap.max(axis=1) / EDGE, 0.0, 1.0)
         # From two thirds of the way to the far side on.
         through = 3.0 * deeper / np.where(outside > 0.0, SHALLOW, DEEPEST)
-        self.share = np.clip(3.0 - through, 0.0, 1.0) * np.maximum(1.0 - outside / FADE, 0.0)
-
-    def _pushing(self, found: Projection) -> IntArray:
-        """Return the part of those that may push which each point is before, or least below."""
-        gap = np.where(self._may & (found.host >= 0), found.gap, -np.inf)
-        return np.asarray(np.argmax(gap, axis=1))
+        self.share = behind * np.clip(3.0 - through, 0.0, 1.0) * np.maximum(1 - outside / FADE, 0.0)
 
     def project(self, parameters: Array) -> Projection:
         """Find the closest point of the part of the master that pushes each point out."""
         found = self._all(parameters)
-        each, part = np.arange(len(self.patches)), self._pushing(found)
-        return Projection(*(values[each, part] for values in vars(found).values()))
+        each = np.arange(len(self.patches))
+        return Projection(*(values[each, self._part] for values in vars(found).values()))
 
 
 class Immersion:
