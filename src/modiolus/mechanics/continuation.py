@@ -71,7 +71,7 @@ class Settings:
     """
 
     tolerance: float = 3e-4
-    passing: float = 2e-2
+    passing: float = 1e-2
     first_step: float = 0.06
     least_step: float = 2e-3
     warm_change: float = 0.1
