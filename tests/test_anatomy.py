@@ -11,6 +11,7 @@ from modiolus.anatomy import (
     STRUCTURES,
     BodyParts3D,
     DistanceGrid,
+    MirroredDistance,
     Surface,
     deep_distances,
     read_surface,
@@ -188,6 +189,16 @@ def test_distance_grid_survives_its_arrays_and_draws_its_surface():
     again = DistanceGrid.from_arrays(grid.arrays())
     assert_array_equal(again.values, grid.values)
     assert_allclose(again.surface().volume, 4 / 3 * np.pi * 8.0**3, rtol=0.03)
+
+
+def test_mirrored_distance_draws_the_left_half_with_a_rim_on_the_plane():
+    grid = DistanceGrid.of([ball(8.0)], spacing=1.0)
+    half = MirroredDistance(grid, 2.3).surface()
+    # A ball whose centre is beyond the plane, and the cap of its image: they meet in a circle.
+    rim = half.vertices[half.vertices[:, 0] < 2.3 + 1e-4]
+    assert_allclose(half.vertices[:, 0].min(), 2.3, atol=1e-5)
+    assert_allclose(np.linalg.norm(rim[:, 1:], axis=1), np.sqrt(8.0**2 - 2.3**2), atol=0.1)
+    assert_allclose(half.vertices[:, 0].max(), 8.0, atol=0.1)
 
 
 def test_distance_grid_refuses_unsound_arrays():

@@ -170,6 +170,20 @@ def test_lower_teeth_are_drawn_where_the_jaw_takes_them(taro):
         assert_allclose(open_[name], rest[name] @ rotation.T + shift)
     for name in ("teeth_upper", "gums_upper", "eye_left", "skin"):
         assert_allclose(open_[name], rest[name])
+    # Roof and upper edge of the cavity stand still, floor and lower edge go with the jaw.
+    gone = np.abs(open_["mouth"] - rest["mouth"]).max(axis=1) > 0.0
+    assert_allclose(open_["mouth"][gone], rest["mouth"][gone] @ rotation.T + shift)
+    assert rest["mouth"][gone, 2].max() < rest["mouth"][~gone, 2].min()
+
+
+def test_teeth_are_drawn_alike_on_both_sides_without_a_gap(taro):
+    shapes = {s.name: s for s in FaceScene(taro, 2).shapes(taro.tissue.parameters)}
+    for name in ("gums_upper", "gums_lower"):
+        vertices, faces = shapes[name].vertices, shapes[name].faces
+        edges = np.sort(np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        pairs, times = np.unique(edges, axis=0, return_counts=True)
+        # Open where the face is cut off, at the back, and nowhere else.
+        assert (vertices[pairs[times == 1], 1] > vertices[:, 1].max() - 2.0).all()
 
 
 @pytest.mark.slow

@@ -217,23 +217,13 @@ class DistanceGrid:
         closed : bool
             Whether the surface is closed where the grid cuts it off.
         """
-        import pyvista as pv
-
         rim = 2 if closed else 0
         values = np.pad(self.values, rim, constant_values=np.int8(127))
-        grid = pv.ImageData(
-            dimensions=values.shape,
-            spacing=(self.spacing,) * 3,
-            origin=self.origin - rim * self.spacing,
-        )
         # The stored distances are spline coefficients: what is drawn is the field that is sampled.
         smooth = QUANTUM * values.astype(np.float64)
         for axis in range(3):
             smooth = _smoothed(smooth, axis)
-        grid["distance"] = smooth.ravel(order="F")
-        mesh = grid.contour([level], scalars="distance", method="flying_edges")
-        # Flying edges turns its triangles towards smaller values: inwards.
-        return Surface(mesh.points, mesh.regular_faces[:, ::-1])
+        return _contour(smooth, self.origin - rim * self.spacing, self.spacing, level)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the grid as plain arrays that compress well: see `from_arrays`."""
@@ -313,6 +303,14 @@ class MirroredDistance:
         out.hessian[near] = hessian
         return out
 
+    def surface(self) -> Surface:
+        """Triangulate where the distance is 0 on the left side, with a rim on the mirror plane."""
+        low, high = self.grid.bounds
+        low[0] = self.plane
+        shape = np.floor((high - low) / self.grid.spacing).astype(int) + 1
+        distance = self.sample(_grid_points(low, self.grid.spacing, shape)).distance
+        return _contour(distance.reshape(shape), low, self.grid.spacing, 0.0)
+
     def _one_side(self, points: np.ndarray, image: np.ndarray) -> DistanceSample:
         """Sample the structure, or at some points its image."""
         folded = np.array(points, dtype=np.float64)
@@ -363,6 +361,17 @@ def distances_in_band(
     sign[unsure] = np.where(surface.contains(points[unsure]), -1.0, 1.0)
     values[near] = sign * surface.closest(points).distance
     return np.asarray(np.clip(values, -band, band).reshape(shape))
+
+
+def _contour(values: np.ndarray, origin: np.ndarray, spacing: float, level: float) -> Surface:
+    """Triangulate where values on the points of a grid cross a level."""
+    import pyvista as pv
+
+    grid = pv.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=origin)
+    grid["distance"] = values.ravel(order="F")
+    mesh = grid.contour([level], scalars="distance", method="flying_edges")
+    # Flying edges turns its triangles towards smaller values: inwards.
+    return Surface(mesh.points, mesh.regular_faces[:, ::-1])
 
 
 def _grid_points(origin: np.ndarray, spacing: float, shape: np.ndarray) -> np.ndarray:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from modiolus.export.layout import skin_layout
+from modiolus.export.mouth import mouth
 from modiolus.export.shape import Shape
 from modiolus.face.head import Head
-from modiolus.face.jaw import FOLLOWERS
 from modiolus.fitting.register import sphere
 from modiolus.hermite.basis import Array, smooth_step
 from modiolus.hermite.tessellate import Mirror, Tessellation, tessellate
@@ -22,8 +22,6 @@ _SKIN = np.array([0.87, 0.68, 0.58])
 _LIP = np.array([0.78, 0.50, 0.45])
 _BROW = np.array([0.36, 0.26, 0.20])
 _LINING = (0.45, 0.20, 0.19)
-_CAVITY = (0.16, 0.06, 0.06)
-_DEEP = {"teeth": (0.94, 0.91, 0.84), "gums": (0.78, 0.45, 0.45)}
 #: Angles about the line of sight at which the colour of an eye changes: pupil, iris, rim, white.
 _EYE_RINGS = ((0.17, (0.03, 0.03, 0.03)), (0.46, (0.33, 0.22, 0.14)), (0.50, (0.17, 0.12, 0.09)))
 _EYE_WHITE = (0.95, 0.94, 0.92)
@@ -39,8 +37,8 @@ class FaceScene:
     ----------
     head : Head
         One half. Of its sides ``outer`` and those of lips and lids are drawn as skin, the others
-        as lining; of its deep structures teeth and gums are drawn as they are, and the eyes are
-        placed in the ``eyeball``.
+        as lining; its deep structures give the `mouth`, and the eyes are placed in the
+        ``eyeball``.
     divisions : int
         Divisions of an element each way.
 
@@ -68,7 +66,8 @@ class FaceScene:
         )
         self.colours = self._paint(head, skin)
         self.layout = self._lay_out(head, skin)
-        self._still = [*_eyes(head), *_mouth(head)]
+        self._eyes = _eyes(head)
+        self._mouth = mouth(head)
 
     def skin_points(self, parameters: Array) -> Array:
         """Return the vertices (n, 3) of both halves of the skin in a state."""
@@ -112,7 +111,8 @@ class FaceScene:
             "lining",
             gloss=0.05,
         )
-        return [skin, lining, *(self._with_jaw(shape, jaw) for shape in self._still)]
+        inside = [self._with_jaw(shape, share, jaw) for shape, share in self._mouth]
+        return [skin, lining, *self._eyes, *inside]
 
     def targets(self, states: Mapping[str, tuple[Array, float]]) -> dict[str, dict[str, Array]]:
         """Return the vertices of everything that moves in some states, as morph targets.
@@ -136,19 +136,12 @@ class FaceScene:
                 targets[still.name] = dict(zip(states, vertices, strict=True))
         return targets
 
-    def _with_jaw(self, shape: Shape, angle: float) -> Shape:
-        """Return a deep structure where the jaw has taken it."""
-        # The lower edge of the dark goes with the jaw.
-        dark = shape.name == "mouth"
-        share = 1.0 if dark else FOLLOWERS.get(shape.name, 0.0)
-        if angle == 0.0 or share == 0.0 or self._head.jaw is None:
+    def _with_jaw(self, shape: Shape, share: Array, angle: float) -> Shape:
+        """Return a shape whose vertices follow the jaw by a share (n,), where they are then."""
+        if angle == 0.0 or self._head.jaw is None or not share.any():
             return shape
-        rotation, shift = self._head.jaw.pose(share * angle)
-        vertices = shape.vertices @ rotation.T + shift
-        if dark:
-            low = shape.vertices[:, 2] < shape.vertices[:, 2].mean()
-            vertices = np.where(low[:, None], vertices, shape.vertices)
-        return replace(shape, vertices=vertices)
+        moved = self._head.jaw.displacement(shape.vertices, angle, share)
+        return replace(shape, vertices=shape.vertices + moved)
 
     def _lay_out(self, head: Head, skin: list[str]) -> Array | None:
         """Return the texture coordinates of the skin; the halves are joined where u is 1/2."""
@@ -289,41 +282,6 @@ def _socket(centre: Array, radius: float, midplane: float) -> Shape:
         ]
     )
     return Shape(np.concatenate([inner, outer]), faces, _CONJUNCTIVA, "socket_left", gloss=0.1)
-
-
-def _mouth(head: Head) -> list[Shape]:
-    """Return teeth and gums of both sides, and the dark of the mouth behind them."""
-    shapes = []
-    for name, structure in head.deep.items():
-        colour = _DEEP.get(name.partition("_")[0])
-        if colour is None:
-            continue
-        surface = structure.distance.surface()
-        vertices = surface.vertices
-        least = head.midplane - 0.5 * structure.distance.spacing
-        half = (vertices[surface.faces][:, :, 0] >= least).all(axis=1)
-        mirror = Mirror.of(vertices, surface.faces[half], head.midplane)
-        shapes.append(
-            Shape(mirror.points(vertices), mirror.faces, colour, name, gloss=0.6, glow=0.2)
-        )
-    if shapes:
-        corners = np.concatenate([shape.vertices for shape in shapes])
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        # Behind the incisors and between the molars.
-        back = low[1] + 0.45 * (high[1] - low[1])
-        # As wide as the mouth: the corners of an open one must not show the way out.
-        middle, reach = 0.5 * (low + high), np.array([0.44, 0.3, 0.3]) * (high - low)
-        low, high = middle - reach, middle + reach
-        square = np.array(
-            [
-                [low[0], back, low[2]],
-                [high[0], back, low[2]],
-                [high[0], back, high[2]],
-                [low[0], back, high[2]],
-            ]
-        )
-        shapes.append(Shape(square, np.array([[0, 1, 2], [0, 2, 3]]), _CAVITY, "mouth", gloss=0.0))
-    return shapes
 
 
 def _smooth(low: float, high: float, values: Array) -> Array:

@@ -1,0 +1,110 @@
+"""What shows in an open mouth: teeth, gums, and the cavity between the arches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modiolus.export.shape import Shape
+from modiolus.face.head import Head
+from modiolus.face.jaw import FOLLOWERS
+from modiolus.hermite.basis import Array, smooth_step
+from modiolus.hermite.tessellate import Mirror
+
+__all__ = ["mouth"]
+
+
+_COLOURS = {"teeth": (0.94, 0.91, 0.84), "gums": (0.78, 0.45, 0.45)}
+#: The cavity between the front teeth and at its end.
+_MUCOSA, _DARK = np.array([0.46, 0.20, 0.19]), np.array([0.13, 0.045, 0.04])
+#: Share of the light that does not reach the hindmost teeth.
+_SHADE = 0.4
+#: Points of roof and floor from front to back, and from side to side.
+_ALONG, _ACROSS = 12, 9
+#: By how much roof and floor are higher at the mid-plane than between the teeth (mm).
+_RISE = 5.0
+
+
+def mouth(head: Head) -> list[tuple[Shape, Array]]:
+    """Return what shows in the mouth at rest, and by which share its vertices follow the jaw.
+
+    Parameters
+    ----------
+    head : Head
+        One half. Its deep structures that are called teeth and gums are drawn with their mirror
+        image; where both arches have both, there is a cavity between them.
+
+    Returns
+    -------
+    list of (Shape, (n,) array)
+    """
+    halves = {
+        name: head.distance(name).surface()
+        for name in head.deep
+        if name.partition("_")[0] in _COLOURS
+    }
+    out = []
+    for name, half in halves.items():
+        mirror = Mirror.of(half.vertices, half.faces, head.midplane)
+        vertices = mirror.points(half.vertices)
+        light = 1.0 - _SHADE * _depth(vertices)
+        colour = light * np.array(_COLOURS[name.partition("_")[0]])
+        shape = Shape(vertices, mirror.faces, colour, name, gloss=0.6, glow=0.2)
+        out.append((shape, np.full(len(vertices), FOLLOWERS.get(name, 0.0))))
+    between = [
+        _between(halves[f"teeth_{arch}"].vertices, halves[f"gums_{arch}"].vertices, head.midplane)
+        for arch in ("upper", "lower")
+        if {f"teeth_{arch}", f"gums_{arch}"} <= set(halves)
+    ]
+    return [*out, _cavity(*between)] if len(between) == 2 else out
+
+
+def _depth(points: Array) -> Array:
+    """Return how far points (n, 3) are from the foremost (0) to the hindmost one (1), (n, 1)."""
+    front, back = points[:, 1].min(), points[:, 1].max()
+    return smooth_step((points[:, 1:2] - front) / (back - front))
+
+
+def _between(teeth: Array, gums: Array, midplane: float) -> Array:
+    """Return points of the surface that spans an arch from side to side, (along, across, 3).
+
+    Parameters
+    ----------
+    teeth, gums : (n, 3) arrays
+        Points of the left half (mm).
+    midplane : float
+        Its x (mm).
+    """
+    ends = np.linspace(teeth[:, 1].min(), teeth[:, 1].max(), _ALONG + 1)
+    place = np.digitize(teeth[:, 1], ends[1:-1])
+    count = np.maximum(np.bincount(place, minlength=_ALONG), 1)
+    width = np.bincount(place, teeth[:, 0] - midplane, minlength=_ALONG) / count
+    # At the back the lower gums climb the ramus.
+    height = gums[gums[:, 1] < 0.5 * (ends[0] + ends[-1]), 2].mean()
+    across = np.linspace(-1.0, 1.0, _ACROSS)
+    x, y, z = np.broadcast_arrays(
+        midplane + width[:, None] * across,
+        0.5 * (ends[1:] + ends[:-1])[:, None],
+        height + _RISE * (1.0 - across**2),
+    )
+    return np.stack([x, y, z], axis=-1)
+
+
+def _cavity(roof: Array, floor: Array) -> tuple[Shape, Array]:
+    """Return roof, floor and the wall behind them, and what of it follows the jaw."""
+    number = np.arange(_ALONG * _ACROSS).reshape(_ALONG, _ACROSS)
+    cells = np.stack(
+        [number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1
+    ).reshape(-1, 4)
+    wall = np.stack([floor[-1, 0], floor[-1, -1], roof[-1, -1], roof[-1, 0]])
+    wall[:, 1] = wall[:, 1].min()
+    # Wider and higher than the arches: the corners of an open mouth must not show the way out.
+    middle = wall.mean(axis=0)
+    wall = middle + [1.45, 1.0, 1.4] * (wall - middle)
+    vertices = np.concatenate([roof.reshape(-1, 3), floor.reshape(-1, 3), wall])
+    quads = np.concatenate(
+        [cells[:, ::-1], cells + number.size, 2 * number.size + np.arange(4)[None]]
+    )
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    colour = _MUCOSA + np.minimum(1.5 * _depth(vertices), 1.0) * (_DARK - _MUCOSA)
+    follows = np.repeat([0.0, 1.0, 1.0, 0.0], [number.size, number.size, 2, 2])
+    return Shape(vertices, faces, colour, "mouth", gloss=0.0), follows
