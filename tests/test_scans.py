@@ -376,6 +376,7 @@ def test_a_state_is_kept_exactly_and_knows_its_head(taro, tmp_path):
         ("expression", np.array("../x"), "expression"),
         ("jaw", np.array([0.1, 0.2]), "state"),
         ("pressure", np.array([np.inf]), "finite"),
+        ("pressure", np.array([1e300]), "large"),
         ("settings", np.array("[1"), "state"),
         ("settings", np.array("[1]"), "settings"),
         ("settings", np.array('{"skin": "thick"}'), "settings"),
@@ -393,6 +394,15 @@ def test_arrays_that_make_no_state_are_refused(taro, tmp_path, name, value, word
     with pytest.raises(InputError) as error:
         load_result(tmp_path)
     assert_one_line(error, word)
+
+
+def test_a_state_that_no_face_can_be_in_is_refused(taro, tmp_path):
+    parameters = taro.tissue.parameters.copy()
+    parameters[7, 1] = -1e300
+    save_state(tmp_path / STATE_FILE, "x", taro, "taro", parameters, np.zeros(8), {}, 0.0)
+    with pytest.raises(InputError) as error:
+        load_result(tmp_path)
+    assert_one_line(error, "large")
 
 
 # --- identification

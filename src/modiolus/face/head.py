@@ -35,6 +35,8 @@ FORMAT = 1
 _SHIPPED = files("modiolus.face") / "data" / "heads"
 #: Archives larger than this (bytes, unpacked) are not read.
 _LARGEST = 512 * 2**20
+#: No number of a head, of whichever unit, is as large as this.
+_LARGEST_NUMBER = 1e9
 #: What of `Head.about` goes into the LICENSE beside the data.
 _LICENCE_KEYS = ("licence", "licence_url", "attribution", "source", "changes")
 #: Without these sides and landmarks a head can be neither computed nor reported on.
@@ -414,8 +416,8 @@ def _with_slack(muscle: Muscle, slack: Mapping[str, float]) -> Muscle:
 
 
 def _finite(values: NDArray[Any]) -> Array:
-    if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-        raise ValueError("a number is not finite")
+    if values.dtype.kind not in "fiu" or not (np.abs(values) < _LARGEST_NUMBER).all():
+        raise ValueError("a number is not finite, or too large")
     return values.astype(float)
 
 

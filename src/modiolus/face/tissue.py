@@ -308,7 +308,6 @@ def _itself(mesh: HermiteMesh) -> HermiteMesh:
 
 
 def shrink(
-    plan: Layout,
     outer: HermiteMesh,
     deep: Mapping[str, DistanceGrid],
     bedded: Iterable[Surface],
@@ -391,7 +390,7 @@ def build_tissue(
     """
     plan = layout()
     outer, outer_fit = fit_outer(plan, outer_sheet(skin), deep)
-    lattice, arrived = shrink(plan, outer, deep, bedded)
+    lattice, arrived = shrink(outer, deep, bedded)
     nodal, held = boundary_conditions(plan, plan.gather(outer.parameters))
     nearest = _nodes_of(plan, lattice)
     nodal[:, 0] = arrived[nearest]
@@ -405,7 +404,7 @@ def build_tissue(
     inner_fit = _fit_envelope(plan, start, lattice, arrived, fixed, deep)
     surfaces = [inner_fit.mesh.parameters, _closed(plan, outer.parameters)]
     mesh = _layer(plan, *surfaces)
-    return Tissue(mesh, _sides(plan), _landmarks(plan), {"outer": outer_fit, "inner": inner_fit})
+    return Tissue(mesh, _sides(), _landmarks(plan), {"outer": outer_fit, "inner": inner_fit})
 
 
 def _fit_envelope(
@@ -483,7 +482,7 @@ def _layer(plan: Layout, inner: Array, outer: Array) -> HermiteMesh:
     return mesh_of(np.concatenate(layers, axis=1), parameters)
 
 
-def _sides(plan: Layout) -> dict[str, Side]:
+def _sides() -> dict[str, Side]:
     every = np.arange(COLUMNS * ROWS)
     column, row = every % COLUMNS, every // COLUMNS
     mouth = (column >= MOUTH.first) & (column < MOUTH.last)

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 #: Name of the file in the folder of a run.
 STATE_FILE = "state.npz"
+#: No tissue goes so far (mm), none is under such a pressure (kPa), and no time (s) is as late.
+_FARTHEST, _HIGHEST, _LATEST = 1e3, 1e6, 1e12
 
 
 @dataclass(frozen=True)
@@ -143,11 +145,17 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: its arrays make no state ({error}); simulate anew") from error
-    sizes = (chosen.tissue.n_params, chosen.both.mesh.n_params)
-    if not same or parameters.shape not in [(size, 3) for size in sizes]:
+    rests = {mesh.n_params: mesh.parameters for mesh in (chosen.tissue, chosen.both.mesh)}
+    rest = rests.get(len(parameters))
+    if not same or rest is None or parameters.shape != rest.shape:
         raise InputError(f"{folder}: no state of the head {source} as it is now; simulate anew")
-    if not np.isfinite([*parameters.ravel(), *pressure, *values, jaw, time or 0.0]).all():
-        raise InputError(f"{path}: a number is not finite; simulate anew")
+    for numbers, bound in (
+        (parameters - rest, _FARTHEST),
+        (pressure, _HIGHEST),
+        ([*values, jaw, time or 0.0], _LATEST),
+    ):
+        if not (np.abs(numbers) < bound).all():
+            raise InputError(f"{path}: a number is not finite, or too large; simulate anew")
     activations = dict(zip(muscles.astype(str).tolist(), values.tolist(), strict=True))
     try:
         resolve(activations, chosen.muscles)
