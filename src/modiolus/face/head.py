@@ -310,58 +310,25 @@ class Head:
     @classmethod
     def _read(cls, folder: Path) -> Head:
         table = _read_toml(folder / "head.toml")
-        tissue = read_arrays(folder / "tissue.npz")
-        muscles = _grouped(read_arrays(folder / "muscles.npz"))
-        deep = _grouped(read_arrays(folder / "deep.npz"))
+        tissue, muscles, deep = (
+            _grouped(read_arrays(folder / f"{part}.npz")) for part in ("tissue", "muscles", "deep")
+        )
         try:
-            extraction = sp.csr_matrix(
-                (_finite(tissue["data"]), tissue["indices"], tissue["indptr"]),
-                shape=(len(tissue["indptr"]) - 1, len(tissue["parameters"])),
-            )
-            extraction.check_format(full_check=True)
-            mesh = HermiteMesh(3, _finite(tissue["parameters"]), extraction)
-            sides: dict[str, Side] = {}
-            held: dict[str, dict[str, Attachment]] = {
-                kind: {} for kind in ("attachment", "insertion", "sheet")
+            mesh = _mesh(tissue[""])
+            held = {
+                kind: {
+                    name: _held(name, values, mesh) for name, values in tissue.get(kind, {}).items()
+                }
+                for kind in ("attachment", "insertion", "sheet")
             }
-            for key, value in tissue.items():
-                kind, _, item = key.partition("/")
-                if kind == "side":
-                    axis, side = int(value[0]), int(value[1])
-                    if axis not in (0, 1, 2) or side not in (0, 1):
-                        raise ValueError(f"side {item} is no side of an element")
-                    sides[item] = (_elements(value[2:], mesh), axis, side)
-                elif kind in held:
-                    if not (value[:, 4] >= 0.0).all():
-                        raise ValueError(f"stiffness of {item} is not from 0 up")
-                    held[kind][item] = Attachment(
-                        item, _elements(value[:, 0], mesh), _shares(value[:, 1:4]), value[:, 4]
-                    )
-            landmarks = {}
-            for key, row in table["landmarks"].items():
-                element = int(_elements(np.array([row[0]]), mesh)[0])
-                a, b, c = _shares(np.array(row[1:])).tolist()
-                landmarks[key] = (element, (a, b, c))
-            _have("side", _SIDES, sides)
-            _have("landmark", _LANDMARKS, landmarks)
-            fraction, firmness = (
-                _shares(tissue[key]).reshape(mesh.n_elements, 64)
-                for key in ("fraction", "firmness")
-            )
-            slack = {key: float(value) for key, value in table.get("slack", {}).items()}
-            if not muscles:
-                raise ValueError("there are no muscles")
             return cls(
                 name=table["name"],
                 tissue=mesh,
-                sides=sides,
-                landmarks=landmarks,
-                fraction=fraction,
-                firmness=firmness,
-                muscles={
-                    key: _with_slack(Muscle.from_arrays(key, arrays), slack)
-                    for key, arrays in muscles.items()
-                },
+                sides=_sides(tissue["side"], mesh),
+                landmarks=_landmarks(table["landmarks"], mesh),
+                fraction=_shares(tissue[""]["fraction"]).reshape(mesh.n_elements, 64),
+                firmness=_shares(tissue[""]["firmness"]).reshape(mesh.n_elements, 64),
+                muscles=_muscles(muscles, table.get("slack", {})),
                 deep={
                     key: RigidSurface(key, DistanceGrid.from_arrays(arrays))
                     for key, arrays in deep.items()
@@ -404,15 +371,63 @@ def head_names() -> tuple[str, ...]:
     return tuple(sorted(e.name for e in _SHIPPED.iterdir() if (e / "head.toml").is_file()))
 
 
-def _with_slack(muscle: Muscle, slack: Mapping[str, float]) -> Muscle:
-    if not muscle.name.isidentifier():
-        raise ValueError(f"{muscle.name!r} is not a muscle's name")
-    if muscle.angles is not None:
-        _finite(muscle.angles)
-    value = slack.get(muscle.name, muscle.slack)
-    if not 0.5 <= value <= 3.0:
-        raise ValueError(f"slack of {muscle.name} is {value}, not a stretch within 0.5 to 3")
-    return replace(muscle, slack=value)
+def _mesh(arrays: Mapping[str, NDArray[Any]]) -> HermiteMesh:
+    parameters, starts = _finite(arrays["parameters"]), arrays["indptr"]
+    extraction = sp.csr_matrix(
+        (_finite(arrays["data"]), arrays["indices"], starts),
+        shape=(len(starts) - 1, len(parameters)),
+    )
+    extraction.check_format(full_check=True)
+    return HermiteMesh(3, parameters, extraction)
+
+
+def _sides(arrays: Mapping[str, NDArray[Any]], mesh: HermiteMesh) -> dict[str, Side]:
+    out: dict[str, Side] = {}
+    for name, values in arrays.items():
+        axis, side = int(values[0]), int(values[1])
+        if axis not in (0, 1, 2) or side not in (0, 1):
+            raise ValueError(f"side {name} is no side of an element")
+        out[name] = (_elements(values[2:], mesh), axis, side)
+    _have("side", _SIDES, out)
+    return out
+
+
+def _held(name: str, values: NDArray[Any], mesh: HermiteMesh) -> Attachment:
+    stiffness = _finite(values[:, 4])
+    if not (stiffness >= 0.0).all():
+        raise ValueError(f"stiffness of {name} is not from 0 up")
+    return Attachment(name, _elements(values[:, 0], mesh), _shares(values[:, 1:4]), stiffness)
+
+
+def _landmarks(
+    rows: Mapping[str, list[Any]], mesh: HermiteMesh
+) -> dict[str, tuple[int, tuple[float, float, float]]]:
+    out = {}
+    for name, row in rows.items():
+        element = int(_elements(np.array([row[0]]), mesh)[0])
+        a, b, c = _shares(np.array(row[1:])).tolist()
+        out[name] = (element, (a, b, c))
+    _have("landmark", _LANDMARKS, out)
+    return out
+
+
+def _muscles(
+    groups: Mapping[str, Mapping[str, NDArray[Any]]], slacks: Mapping[str, Any]
+) -> dict[str, Muscle]:
+    if not groups:
+        raise ValueError("there are no muscles")
+    out = {}
+    for name, arrays in groups.items():
+        muscle = Muscle.from_arrays(name, arrays)
+        if not name.isidentifier():
+            raise ValueError(f"{name!r} is not a muscle's name")
+        if muscle.angles is not None:
+            _finite(muscle.angles)
+        slack = float(slacks.get(name, muscle.slack))
+        if not 0.5 <= slack <= 3.0:
+            raise ValueError(f"slack of {name} is {slack}, not a stretch within 0.5 to 3")
+        out[name] = replace(muscle, slack=slack)
+    return out
 
 
 def _finite(values: NDArray[Any]) -> Array:
@@ -500,8 +515,9 @@ def read_arrays(path: Path, mend: str = "build or copy the head anew") -> dict[s
 
 
 def _grouped(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, NDArray[Any]]]:
+    """Put arrays that are called ``group/name`` together; those without a group are in ``""``."""
     out: dict[str, dict[str, NDArray[Any]]] = {}
     for key, value in arrays.items():
-        name, _, item = key.partition("/")
-        out.setdefault(name, {})[item] = value
+        group, _, name = key.rpartition("/")
+        out.setdefault(group, {})[name] = value
     return out
