@@ -30,7 +30,7 @@ from .embed import (
 from .head import Head, RigidSurface
 from .muscles import build_muscles, muscle_quality, muscle_table
 from .provenance import GIVEN, INFERRED
-from .template import NECK_CUT
+from .template import COLUMNS, EYE_ROW, MOUTH_ROW, NECK_CUT, ROWS
 from .tissue import (
     BEDDED,
     EYE_CENTRE,
@@ -196,8 +196,6 @@ def tissue_quality(tissue: Tissue, sheet: Surface, deep: dict[str, DistanceGrid]
 
 def skin_error(tissue: Tissue, sheet: Surface) -> Array:
     """Return the distance (n,) of points of the outer surface to the skin."""
-    from .template import COLUMNS, EYE_ROW, MOUTH_ROW
-
     face = tissue.mesh.face(*tissue.sides["outer"])
     elements, xi, _ = face.gauss_points(4)
     column, row = elements % COLUMNS + xi[:, 0], elements // COLUMNS + xi[:, 1]
@@ -237,8 +235,6 @@ THICKNESS: dict[str, tuple[float, float, str]] = {
 
 def thickness_table(mesh: HermiteMesh) -> dict[str, float]:
     """Return the depth of the layer (mm) at the landmarks of `THICKNESS`."""
-    from .template import COLUMNS, ROWS
-
     out = {}
     for name, (column, row, _) in THICKNESS.items():
         i, j = min(int(column), COLUMNS - 1), min(int(row), ROWS - 1)

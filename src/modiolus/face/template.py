@@ -29,9 +29,8 @@ COLUMNS, ROWS = 12, 21
 MOUTH_ROW, COMMISSURE = 7, 4
 #: Row of the eye's slit, columns of its canthi.
 EYE_ROW, MEDIAL_CANTHUS, LATERAL_CANTHUS = 14, 3, 7
-#: Row along the brow, and column and rows of the nasolabial fold.
-BROW_ROW = 16
-FOLD_COLUMN, FOLD_ROWS = 5, (7, 12)
+#: Row along the brow, and column of the nasolabial fold.
+BROW_ROW, FOLD_COLUMN = 16, 5
 #: Height of the cut through the neck (mm).
 NECK_CUT = 1412.0
 

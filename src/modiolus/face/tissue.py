@@ -10,7 +10,7 @@ tricubic elements.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from ..anatomy.distance import DistanceGrid
 from ..anatomy.surface import MIDPLANE, Surface
-from ..fitting import FitResult, PointTarget, Smoothing, SurfaceTarget, fit
+from ..fitting import PointTarget, Smoothing, SurfaceTarget, fit
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
 from .template import (
@@ -110,14 +110,11 @@ class Tissue:
         ``lip_lower``, ``lid_upper``, ``lid_lower``.
     landmarks : dict of (element, xi (3,))
         Named places of the left half.
-    fits : dict of FitResult
-        How well the outer and the inner surface were met.
     """
 
     mesh: HermiteMesh
     sides: dict[str, Side]
     landmarks: dict[str, tuple[int, tuple[float, float, float]]]
-    fits: dict[str, FitResult]
 
 
 def outer_sheet(skin: Surface, directions: int = 64) -> Surface:
@@ -261,18 +258,8 @@ def boundary_conditions(plan: Layout, nodal: Array) -> tuple[Array, NDArray[np.b
     return nodal, held
 
 
-def fit_outer(
-    plan: Layout, sheet: Surface, deep: Mapping[str, DistanceGrid]
-) -> tuple[HermiteMesh, FitResult]:
-    """Fit the outer surface to the skin and lift it where bone leaves too little room.
-
-    Returns
-    -------
-    surface : HermiteMesh
-        The lifted surface.
-    result : FitResult
-        The fit to the skin before lifting.
-    """
+def fit_outer(plan: Layout, sheet: Surface, deep: Mapping[str, DistanceGrid]) -> HermiteMesh:
+    """Fit the outer surface to the skin and lift it where bone leaves too little room."""
     points = place_nodes(plan, sheet)
     first, second = differentiate(plan, points, 0), differentiate(plan, points, 1)
     nodal = np.stack([points, first, second, differentiate(plan, first, 1)], axis=1)
@@ -281,8 +268,7 @@ def fit_outer(
     fixed = plan.scatter(held)
     smoothing = Smoothing(first=2e-4, second=5e-3, relative=True)
     target = SurfaceTarget("skin", _itself, sheet, samples=5, reject=6.0)
-    result = fit(start, [target], smoothing, fixed, iterations=6)
-    surface = result.mesh
+    surface = fit(start, [target], smoothing, fixed, iterations=6).mesh
     bones = {name: deep[name] for name in ("skull", "mandible", "eyeball")}
     for _ in range(3):
         lattice = _lattice(surface, LATTICE)
@@ -300,7 +286,7 @@ def fit_outer(
         raised = lattice.points + lift[:, None] * -lattice.inward(lattice.points)
         place = PointTarget("lifted", lattice.elements, lattice.xi, raised)
         surface = fit(surface, [place], smoothing, fixed, iterations=1).mesh
-    return surface, result
+    return surface
 
 
 def _itself(mesh: HermiteMesh) -> HermiteMesh:
@@ -389,7 +375,7 @@ def build_tissue(
     Tissue
     """
     plan = layout()
-    outer, outer_fit = fit_outer(plan, outer_sheet(skin), deep)
+    outer = fit_outer(plan, outer_sheet(skin), deep)
     lattice, arrived = shrink(outer, deep, bedded)
     nodal, held = boundary_conditions(plan, plan.gather(outer.parameters))
     nearest = _nodes_of(plan, lattice)
@@ -401,10 +387,9 @@ def build_tissue(
     held[[plan.node[0, MOUTH_ROW], plan.upper[0, MOUTH_ROW]], ::2, 0] = True
     start = outer.with_parameters(plan.scatter(nodal))
     fixed = plan.scatter(held)
-    inner_fit = _fit_envelope(plan, start, lattice, arrived, fixed, deep)
-    surfaces = [inner_fit.mesh.parameters, _closed(plan, outer.parameters)]
-    mesh = _layer(plan, *surfaces)
-    return Tissue(mesh, _sides(), _landmarks(plan), {"outer": outer_fit, "inner": inner_fit})
+    inner = _fit_envelope(plan, start, lattice, arrived, fixed, deep)
+    mesh = _layer(plan, inner.parameters, _closed(plan, outer.parameters))
+    return Tissue(mesh, _sides(), _landmarks(plan))
 
 
 def _fit_envelope(
@@ -414,7 +399,7 @@ def _fit_envelope(
     arrived: Array,
     fixed: NDArray[np.bool_],
     deep: Mapping[str, DistanceGrid],
-) -> FitResult:
+) -> HermiteMesh:
     """Fit the inner surface, and fit again to targets moved off the bone that it still enters.
 
     Edges of bone run between the points of the lattice: the later fits are to a finer one.
@@ -422,20 +407,19 @@ def _fit_envelope(
     hard = {name: grid for name, grid in deep.items() if name not in ("cartilage", "masseter")}
     smoothing = Smoothing(first=1e-4, second=5e-3)
     place = PointTarget("envelope", lattice.elements, lattice.xi, arrived)
-    result = fit(start, [place], smoothing, fixed, iterations=1)
-    elements, xi, _ = result.mesh.gauss_points(_FINE)
-    targets = result.mesh.evaluate(elements, xi)
+    mesh = fit(start, [place], smoothing, fixed, iterations=1).mesh
+    elements, xi, _ = mesh.gauss_points(_FINE)
+    targets = mesh.evaluate(elements, xi)
     for _ in range(40):
         place = PointTarget("envelope", elements, xi, targets)
-        result = fit(start, [place], smoothing, fixed, iterations=1)
-        mesh = result.mesh.with_parameters(_closed(plan, result.mesh.parameters))
-        result = replace(result, mesh=mesh)
+        mesh = fit(start, [place], smoothing, fixed, iterations=1).mesh
+        mesh = mesh.with_parameters(_closed(plan, mesh.parameters))
         distance, gradient = _nearest(hard, mesh.evaluate(elements, xi))
         lack = np.clip(0.4 * MARGIN - distance, 0.0, 1.0)
         if lack.max() < 0.03:
             break
         targets += 2.0 * lack[:, None] * gradient
-    return result
+    return mesh
 
 
 def _nodes_of(plan: Layout, lattice: _Lattice) -> NDArray[np.int64]:

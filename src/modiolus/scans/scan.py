@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..anatomy.surface import Surface, read_surface
+from ..anatomy.surface import Surface, is_whole_ply, read_surface
 from ..errors import InputError, unknown_name
 from ..fitting.register import UNITS, Registration
 from .cloud import wrapped
@@ -275,8 +275,6 @@ def _is_cloud(path: Path) -> bool:
 
 def _read_ply_points(path: Path) -> Array:
     import pyvista as pv
-
-    from ..anatomy.surface import is_whole_ply
 
     damaged = f"{path}: cannot be read as a cloud; it may be truncated, fetch it again"
     if not is_whole_ply(path):

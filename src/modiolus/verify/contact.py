@@ -17,8 +17,8 @@ from .meshes import side
 
 #: c10 of the bodies in kPa; the shear modulus is twice that.
 STIFFNESS = 5.0
-#: Radius of the round body (mm), and half the width of the contact aimed at.
-RADIUS, HALF_WIDTH = 100.0, 1.0
+#: Radius of the round body (mm).
+RADIUS = 100.0
 
 
 def blocks(below: Sequence[Array], above: Sequence[Array]) -> tuple[HermiteMesh, Side, Side]:
