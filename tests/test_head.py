@@ -91,7 +91,7 @@ def test_taro_says_how_well_it_fits_the_skin(taro):
 
 @needs_anatomy
 def test_taro_fits_the_skin_as_well_as_it_says(taro):
-    tissue = Tissue(taro.tissue, taro.sides, taro.landmarks, {})
+    tissue = Tissue(taro.tissue, taro.sides, taro.landmarks)
     error = skin_error(tissue, outer_sheet(BodyParts3D(FOLDER).surface("skin")))
     quality = taro.about["quality"]
     assert_allclose(np.sqrt(np.mean(error**2)), quality["skin_rms_mm"], atol=2e-3)
