@@ -54,9 +54,11 @@ def read_toml(path: Path, mend: str = "name a TOML file") -> dict[str, Any]:
     Raises
     ------
     InputError
-        It cannot be read or is not TOML.
+        It cannot be read, is too large or is not TOML.
     """
     try:
+        if path.stat().st_size > _LARGEST_TABLE:
+            raise InputError(f"{path}: more than {_LARGEST_TABLE >> 20} MiB; {mend}")
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from None

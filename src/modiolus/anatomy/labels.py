@@ -13,8 +13,6 @@ their voxels are blurred into a smooth surface.
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,6 +23,7 @@ from modiolus.anatomy.image import Image, write_image
 from modiolus.anatomy.segment import isosurface
 from modiolus.anatomy.surface import Surface
 from modiolus.errors import InputError
+from modiolus.files import read_toml
 
 __all__ = ["label_surfaces", "read_label_names", "write_labels"]
 
@@ -34,8 +33,6 @@ _SMOOTH = 0.7
 _LEVELS, _HALVINGS = (0.05, 0.95), 12
 #: A structure of fewer voxels than this has no shape.
 _FEWEST = 20
-#: Tables larger than this (bytes) are none.
-_LARGEST = 2**20
 
 
 def read_label_names(path: str | Path) -> dict[str, int]:
@@ -51,15 +48,7 @@ def read_label_names(path: str | Path) -> dict[str, int]:
     InputError
         It is missing, no TOML, or names and numbers are not as they should be.
     """
-    path = Path(path)
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path}: too large for a table of names; give another file")
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}); mend it") from error
+    table = read_toml(Path(path), "name the TOML file that names the labels")
     names = table.get("structures")
     if not isinstance(names, dict) or not names:
         raise InputError(f"{path}: no table [structures]; write 'name = number' lines under it")
@@ -135,7 +124,8 @@ def write_labels(folder: Path, labels: Image, names: Mapping[str, int]) -> None:
     labels : Image
         Whole numbers.
     names : mapping of str to int
+        Such as `read_label_names` takes.
     """
     write_image(folder / "labels.nii.gz", labels)
-    lines = ["[structures]", *(f"{json.dumps(name)} = {number}" for name, number in names.items())]
+    lines = ["[structures]", *(f"{name} = {number}" for name, number in names.items())]
     (folder / "labels.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
