@@ -339,6 +339,114 @@ def square_acosh(y: Any) -> Any:
 
 
 @njit(cache=True)
+def muscle_curvature(
+    c: Any,
+    det: Any,
+    i1: Any,
+    i4: Any,
+    i5: Any,
+    y: Any,
+    shear: Any,
+    tension: Any,
+    dy: Any,
+    dl: Any,
+    stretch: Any,
+) -> Any:
+    """Return the second derivatives (4, 4) of the energy of `muscle` by I1, I4, I5 and J.
+
+    Parameters
+    ----------
+    c : (13,) array
+        As in `muscle`.
+    det, i1, i4, i5 : float
+        The invariants.
+    y, stretch : float
+        ``cosh B2`` and ``λ̄``.
+    shear, tension : (float, float)
+        First and second derivative of ``B2²`` by ``y``, and of ``ψ`` by ``λ̄``.
+    dy, dl : (4,) arrays
+        Derivatives of ``y`` and ``λ̄`` by the invariants.
+    """
+    g1, g2 = shear
+    psi1, psi2 = tension
+    root = np.sqrt(i4)
+    ddy = np.zeros((4, 4))
+    ddy[0, 1] = 1.0 / (4.0 * det * root)
+    ddy[1, 1] = -i1 / (4.0 * det * root**3) - dy[1] / (2.0 * i4) + y / (2.0 * i4**2)
+    ddy[1, 2] = 1.0 / (4.0 * det * root**3)
+    for a in range(3):
+        ddy[a, 3] = -dy[a] / det
+    ddy[3, 3] = 2.0 * y / det**2
+    ddl = np.zeros((4, 4))
+    ddl[1, 1] = -stretch / (4.0 * i4**2)
+    ddl[1, 3] = -stretch / (6.0 * i4 * det)
+    ddl[3, 3] = 4.0 * stretch / (9.0 * det**2)
+    ww = np.empty((4, 4))
+    for a in range(4):
+        for b in range(a, 4):
+            ww[a, b] = (
+                c[1] * (g1 * ddy[a, b] + g2 * dy[a] * dy[b])
+                + psi1 * ddl[a, b]
+                + psi2 * dl[a] * dl[b]
+            )
+    ww[1, 1] += 6.0 * c[0] * i5 / i4**4
+    ww[1, 2] -= 2.0 * c[0] / i4**3
+    for a in range(4):
+        for b in range(a):
+            ww[a, b] = ww[b, a]
+    return ww
+
+
+@njit(cache=True)
+def muscle_moduli(n: Any, det: Any, w: Any, ww: Any, slopes: Any, inverse: Any, d: Any) -> None:
+    """Write ``D = ∂S/∂E`` of `muscle` into ``d``.
+
+    Parameters
+    ----------
+    n : (3,) array
+        The fibre.
+    det : float
+        ``J``.
+    w, ww : (4,), (4, 4) arrays
+        First and second derivatives of the energy by I1, I4, I5 and J.
+    slopes : (4, 3, 3) array
+        Derivatives of the invariants by ``C``.
+    inverse : (3, 3) array
+        ``C⁻¹``.
+    d : (3, 3, 3, 3) array, written
+    """
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    value = 0.0
+                    for a in range(4):
+                        for b in range(4):
+                            value += ww[a, b] * slopes[a, i, j] * slopes[b, k, m]
+                    mixed = 0.0
+                    if j == k:
+                        mixed += n[i] * n[m]
+                    if j == m:
+                        mixed += n[i] * n[k]
+                    if i == k:
+                        mixed += n[j] * n[m]
+                    if i == m:
+                        mixed += n[j] * n[k]
+                    value += 0.5 * w[2] * mixed
+                    value += (
+                        0.25
+                        * w[3]
+                        * det
+                        * (
+                            inverse[i, j] * inverse[k, m]
+                            - inverse[i, k] * inverse[j, m]
+                            - inverse[i, m] * inverse[j, k]
+                        )
+                    )
+                    d[i, j, k, m] = 4.0 * value
+
+
+@njit(cache=True)
 def muscle(f: Any, h: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tangent: Any) -> Any:
     """Evaluate the muscle of Blemker et al. (2005), matrix and fibres in one, see `passive`.
 
@@ -394,59 +502,8 @@ def muscle(f: Any, h: Any, det: Any, c: Any, stress: Any, tangent: Any, with_tan
                 s[i, j] += 2.0 * w[a] * slopes[a, i, j]
     d = np.zeros((3, 3, 3, 3))
     if with_tangent:
-        ddy = np.zeros((4, 4))
-        ddy[0, 1] = 1.0 / (4.0 * det * root)
-        ddy[1, 1] = -i1 / (4.0 * det * root**3) - dy[1] / (2.0 * i4) + y / (2.0 * i4**2)
-        ddy[1, 2] = 1.0 / (4.0 * det * root**3)
-        for a in range(3):
-            ddy[a, 3] = -dy[a] / det
-        ddy[3, 3] = 2.0 * y / det**2
-        ddl = np.zeros((4, 4))
-        ddl[1, 1] = -stretch / (4.0 * i4**2)
-        ddl[1, 3] = -stretch / (6.0 * i4 * det)
-        ddl[3, 3] = 4.0 * stretch / (9.0 * det**2)
-        ww = np.empty((4, 4))
-        for a in range(4):
-            for b in range(a, 4):
-                ww[a, b] = (
-                    c[1] * (g1 * ddy[a, b] + g2 * dy[a] * dy[b])
-                    + psi1 * ddl[a, b]
-                    + psi2 * dl[a] * dl[b]
-                )
-        ww[1, 1] += 6.0 * c[0] * i5 / i4**4
-        ww[1, 2] -= 2.0 * c[0] / i4**3
-        for a in range(4):
-            for b in range(a):
-                ww[a, b] = ww[b, a]
-        for i in range(3):
-            for j in range(3):
-                for k in range(3):
-                    for m in range(3):
-                        value = 0.0
-                        for a in range(4):
-                            for b in range(4):
-                                value += ww[a, b] * slopes[a, i, j] * slopes[b, k, m]
-                        mixed = 0.0
-                        if j == k:
-                            mixed += n[i] * n[m]
-                        if j == m:
-                            mixed += n[i] * n[k]
-                        if i == k:
-                            mixed += n[j] * n[m]
-                        if i == m:
-                            mixed += n[j] * n[k]
-                        value += 0.5 * w[2] * mixed
-                        value += (
-                            0.25
-                            * w[3]
-                            * det
-                            * (
-                                inverse[i, j] * inverse[k, m]
-                                - inverse[i, k] * inverse[j, m]
-                                - inverse[i, m] * inverse[j, k]
-                            )
-                        )
-                        d[i, j, k, m] = 4.0 * value
+        ww = muscle_curvature(c, det, i1, i4, i5, y, (g1, g2), (psi1, psi2), dy, dl, stretch)
+        muscle_moduli(n, det, w, ww, slopes, inverse, d)
     push(f, s, d, stress, tangent, with_tangent)
     return energy
 
@@ -547,6 +604,72 @@ def passive(
     return energy + more, det, excess, share
 
 
+@njit(cache=True)
+def gathered(parameters: Any, params: Any) -> Any:
+    """Return the parameters (m, 3) of an element's functions."""
+    x = np.empty((len(params), 3))
+    for a in range(len(params)):
+        for i in range(3):
+            x[a, i] = parameters[params[a], i]
+    return x
+
+
+@njit(cache=True)
+def stiffen(g: Any, weights: Any, moduli: Any, tangent: Any) -> None:
+    """Write the tangent (6, m, m) of an element: ``Σ_q w ∂N_a/∂X_K D_KL ∂N_b/∂X_L``.
+
+    Parameters
+    ----------
+    g : (3 q, m) array
+        Gradients of the functions.
+    weights : (q,) array
+    moduli : (q, 6, 3, 3) array
+        As `passive` writes them.
+    tangent : (6, m, m) array, written
+    """
+    m = g.shape[1]
+    scaled = np.empty((3 * len(weights), m))
+    for pair in range(6):
+        for q in range(len(weights)):
+            w = weights[q]
+            for k in range(3):
+                t0 = w * moduli[q, pair, k, 0]
+                t1 = w * moduli[q, pair, k, 1]
+                t2 = w * moduli[q, pair, k, 2]
+                for a in range(m):
+                    scaled[3 * q + k, a] = (
+                        t0 * g[3 * q, a] + t1 * g[3 * q + 1, a] + t2 * g[3 * q + 2, a]
+                    )
+        np.dot(g.T, scaled, tangent[pair])
+
+
+@njit(cache=True)
+def couple(g: Any, cofactors: Any, psi: Any, coupling: Any) -> None:
+    """Write how the pressures of an element push: ``Σ_q w ∂J/∂F_iK ∂N_a/∂X_K ψ_s``.
+
+    Parameters
+    ----------
+    g : (3 q, m) array
+        Gradients of the functions.
+    cofactors : (3, q, 3) array
+        ``[i, q, K]``, times the weights.
+    psi : (q, 8) array
+        Functions of the pressure.
+    coupling : (3, m, 8) array, written
+    """
+    m = g.shape[1]
+    n_points = len(psi)
+    normal = np.empty((n_points, m))
+    for i in range(3):
+        for q in range(n_points):
+            h0 = cofactors[i, q, 0]
+            h1 = cofactors[i, q, 1]
+            h2 = cofactors[i, q, 2]
+            for a in range(m):
+                normal[q, a] = h0 * g[3 * q, a] + h1 * g[3 * q + 1, a] + h2 * g[3 * q + 2, a]
+        np.dot(normal.T, psi, coupling[i])
+
+
 @njit(cache=True, parallel=True)
 def bulk(
     parameters: Any,
@@ -597,20 +720,16 @@ def bulk(
     float
         Energy in mN mm.
     """
-    n_elements, m = params.shape
+    n_elements = len(params)
     n_points = weights.shape[1]
     n_corners = vertices.shape[1]
     energies = np.zeros(n_elements)
     for e in prange(n_elements):
         g = gradients[e]
-        x = np.empty((m, 3))
-        for a in range(m):
-            for i in range(3):
-                x[a, i] = parameters[params[e, a], i]
         p = np.empty(n_corners)
         for s in range(n_corners):
             p[s] = pressures[vertices[e, s]]
-        deformation = np.dot(g, x)
+        deformation = np.dot(g, gathered(parameters, params[e]))
         stresses = np.zeros((3 * n_points, 3))
         stress = np.empty((3, 3))
         f = np.empty((3, 3))
@@ -623,10 +742,7 @@ def bulk(
             for k in range(3):
                 for i in range(3):
                     f[i, k] = deformation[3 * q + k, i]
-            h0 = f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1]
-            h1 = f[1, 2] * f[2, 0] - f[1, 0] * f[2, 2]
-            h2 = f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0]
-            det = f[0, 0] * h0 + f[0, 1] * h1 + f[0, 2] * h2
+            det = cofactor(f, h)
             volume_ratio[e, q] = det
             if not det > 1e-6:
                 continue
@@ -655,47 +771,20 @@ def bulk(
         if n_corners:
             pressure_residual[e] = np.dot(psi.T, excess)
         if with_tangent:
-            scaled = np.empty((3 * n_points, m))
-            for pair in range(6):
-                for q in range(n_points):
-                    w = weights[e, q]
-                    for k in range(3):
-                        t0 = w * moduli[q, pair, k, 0]
-                        t1 = w * moduli[q, pair, k, 1]
-                        t2 = w * moduli[q, pair, k, 2]
-                        for a in range(m):
-                            scaled[3 * q + k, a] = (
-                                t0 * g[3 * q, a] + t1 * g[3 * q + 1, a] + t2 * g[3 * q + 2, a]
-                            )
-                np.dot(g.T, scaled, tangent[e, pair])
-            if n_corners == 0:
-                continue
-            normal = np.empty((n_points, m))
-            for i in range(3):
-                for q in range(n_points):
-                    h0 = cofactors[i, q, 0]
-                    h1 = cofactors[i, q, 1]
-                    h2 = cofactors[i, q, 2]
-                    for a in range(m):
-                        normal[q, a] = (
-                            h0 * g[3 * q, a] + h1 * g[3 * q + 1, a] + h2 * g[3 * q + 2, a]
-                        )
-                np.dot(normal.T, psi, coupling[e, i])
+            stiffen(g, weights[e], moduli, tangent[e])
+            if n_corners:
+                couple(g, cofactors, psi, coupling[e])
     return energies.sum()
 
 
 @njit(cache=True, parallel=True)
 def evaluate(parameters: Any, params: Any, starts: Any, functions: Any) -> Any:
     """Evaluate vector functionals ``v = Σ_a s_a x_a`` at points sorted by element; (n, 3)."""
-    n, m = functions.shape
-    out = np.empty((n, 3))
+    out = np.empty((len(functions), 3))
     for e in prange(len(starts) - 1):
         if starts[e] == starts[e + 1]:
             continue
-        x = np.empty((m, 3))
-        for a in range(m):
-            for i in range(3):
-                x[a, i] = parameters[params[e, a], i]
+        x = gathered(parameters, params[e])
         out[starts[e] : starts[e + 1]] = np.dot(functions[starts[e] : starts[e + 1]], x)
     return out
 
