@@ -147,7 +147,7 @@ class DistanceGrid:
         high = np.max([grid.bounds[1] for grid in grids], axis=0)
         shape = np.ceil((high - low) / spacing).astype(int) + 1
         nearest = np.min([grid.resampled(low, spacing, shape) for grid in grids], axis=0)
-        smooth = gaussian_filter(nearest, radius / spacing, mode="nearest")
+        smooth = gaussian_filter(nearest, radius / spacing, mode="nearest", truncate=3.0)
         return cls(low, spacing, np.round(smooth / QUANTUM).astype(np.int8))
 
     def resampled(self, origin: np.ndarray, spacing: float, shape: np.ndarray) -> np.ndarray:
@@ -167,7 +167,8 @@ class DistanceGrid:
         -------
         array of that shape
         """
-        values = QUANTUM * self.values.astype(float)
+        # Single precision is finer than the quantum by far.
+        values = np.float32(QUANTUM) * self.values.astype(np.float32)
         inside = []
         for axis, count in enumerate(shape):
             size = self.values.shape[axis]
@@ -175,7 +176,7 @@ class DistanceGrid:
             inside.append((place >= 1.0) & (place <= size - 2.0))
             cell = np.clip(place.astype(int), 1, size - 3)
             t = place - cell
-            weights = np.zeros((count, size))
+            weights = np.zeros((count, size), dtype=np.float32)
             for k, weight in enumerate(
                 (
                     (1.0 - t) ** 3 / 6.0,
@@ -187,7 +188,7 @@ class DistanceGrid:
                 weights[np.arange(count), cell - 1 + k] = weight
             values = np.moveaxis(np.tensordot(weights, values, (1, axis)), 0, axis)
         within = inside[0][:, None, None] & inside[1][:, None] & inside[2]
-        return np.where(within, values, 127 * QUANTUM)
+        return np.where(within, values, np.float32(127 * QUANTUM))
 
     def sample(self, points: np.ndarray) -> DistanceSample:
         """Sample the field with its first and second derivatives.

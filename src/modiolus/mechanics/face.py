@@ -109,12 +109,13 @@ DERMIS = 1.5
 #: Deep structures that the tissue keeps to when it is pulled away: bone under thin tissue, and the
 #: eyeball, to which the tears hold the lids.
 SLIDING = ("skull", "mandible", "eyeball")
-#: Teeth and gums touch the tissue as one arch each, whose cusps and clefts are rounded (mm):
-#: soft tissue bridges the clefts, and sharp cusps would catch on a mesh coarser than they are.
+#: Teeth and gums touch the tissue as one arch each.
 ARCHES: dict[str, tuple[str, ...]] = {
     "upper_arch": ("teeth_upper", "gums_upper"),
     "lower_arch": ("teeth_lower", "gums_lower"),
 }
+#: Rounding (mm) of edges and clefts of what tissue touches: soft tissue bridges the clefts, and on
+#: sharp edges a mesh coarser than they are would catch.
 ROUNDING = 1.0
 #: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
 #: lips and cheeks from the bone.
@@ -565,13 +566,17 @@ def _deep_contacts(
 
 
 def _bodies(head: Head) -> dict[str, DistanceGrid]:
-    """Return what the tissue touches: rigid structures, teeth and gums as smooth arches."""
-    grids = {name: item.distance for name, item in head.deep.items() if name != "cartilage"}
+    """Return what the tissue touches: rigid structures, with teeth and gums as one arch each."""
+    parts = {name: [item.distance] for name, item in head.deep.items() if name != "cartilage"}
     for arch, names in ARCHES.items():
-        parts = [grids.pop(name) for name in names if name in grids]
-        if parts:
-            grids[arch] = DistanceGrid.rounded(parts, ROUNDING)
-    return grids
+        found = [grid for name in names for grid in parts.pop(name, [])]
+        if found:
+            parts[arch] = found
+    # A ball has no clefts.
+    return {
+        name: grids[0] if name == "eyeball" else DistanceGrid.rounded(grids, ROUNDING)
+        for name, grids in parts.items()
+    }
 
 
 def _vestibule(head: Head, points: Array) -> NDArray[np.bool_]:
