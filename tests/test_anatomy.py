@@ -16,6 +16,7 @@ from modiolus.anatomy import (
     deep_distances,
     read_surface,
 )
+from modiolus.anatomy.surface import check_face
 from modiolus.errors import InputError
 
 FOLDER = Path(
@@ -209,6 +210,24 @@ def test_distance_grid_refuses_unsound_arrays():
         DistanceGrid.from_arrays({**arrays, "spacing": np.array(-1.0)})
     with pytest.raises(InputError, match="deltas"):
         DistanceGrid.from_arrays({**arrays, "deltas": arrays["deltas"].astype(float)})
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda points: points[:400], "400 points"),
+        (lambda points: points * [1.0, 0.0, 1.0], "plane"),
+        (lambda points: points * 1e30, "span"),
+        (lambda points: points * 1e-30, "span"),
+        (lambda points: np.vstack([points, [[0.0, 1e20, 0.0]]]), "span"),
+        (lambda points: np.vstack([points, [[0.0, np.inf, 0.0]]]), "not finite"),
+    ],
+)
+def test_points_that_cannot_be_a_face_are_refused(change, word):
+    points = ball(80.0).vertices
+    check_face("scan", points)
+    with pytest.raises(InputError, match=f"^scan: .*{word}"):
+        check_face("scan", change(points))
 
 
 def test_folder_without_parts_is_refused(tmp_path):

@@ -28,13 +28,25 @@ from scipy.sparse.csgraph import connected_components
 from modiolus.errors import InputError
 from modiolus.hermite.check import numbers
 
-__all__ = ["MIDPLANE", "READABLE", "Closest", "Surface", "is_whole_ply", "read_surface"]
+__all__ = [
+    "MIDPLANE",
+    "READABLE",
+    "Closest",
+    "Surface",
+    "check_face",
+    "is_whole_ply",
+    "read_surface",
+]
 
 #: x of the reference anatomy's mid-sagittal plane (mm).
 MIDPLANE = -0.67
 
 #: Endings of the files that `read_surface` reads.
 READABLE = (".ply", ".stl", ".obj", ".vtp")
+#: Fewer points than this tell nothing of a face.
+_FEWEST_POINTS = 500
+#: A face measures more than the first and less than the second in any unit from metres to µm.
+_SMALLEST, _LARGEST = 1e-2, 1e8
 
 
 class Closest(NamedTuple):
@@ -355,6 +367,40 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
     if degenerate.mean() > 0.01:
         raise InputError(damaged)
     return surface
+
+
+def check_face(where: str, points: np.ndarray) -> None:
+    """Refuse points (n, 3) that cannot be those of a face, before anything is computed with them.
+
+    Parameters
+    ----------
+    where : str
+        What the points are, for the message.
+    points : (n, 3) array
+        In any unit and pose.
+
+    Raises
+    ------
+    InputError
+        They are not finite, too few, of an impossible size, or in one plane.
+    """
+    if not np.isfinite(points).all():
+        bad = int((~np.isfinite(points)).any(axis=1).sum())
+        raise InputError(f"{where}: {bad} points are not finite; remove them")
+    if len(points) < _FEWEST_POINTS:
+        raise InputError(
+            f"{where}: {len(points)} points are too few for a face (at least {_FEWEST_POINTS}); "
+            "give the whole scan"
+        )
+    size = float(np.ptp(points, axis=0).max())
+    if not _SMALLEST < size < _LARGEST:
+        raise InputError(
+            f"{where}: its points span {size:g}, which is no face in mm, cm or m; remove points "
+            "that are astray, or give another unit"
+        )
+    spread = np.linalg.svd(points - points.mean(axis=0), full_matrices=False, compute_uv=False)
+    if spread[2] < 1e-3 * spread[0]:
+        raise InputError(f"{where}: all points lie in a plane or on a line; give the whole scan")
 
 
 def is_whole_ply(path: Path) -> bool:

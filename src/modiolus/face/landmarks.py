@@ -42,12 +42,13 @@ def read_landmarks(path: str | Path, head: Head) -> tuple[Array, Array]:
     Raises
     ------
     InputError
-        The file cannot be read, has a name that the head does not know, or fewer than three
-        places of the head.
+        The file cannot be read, has a name that the head does not know or one twice, or fewer
+        than three places of the head.
     """
     path = Path(path)
     known = head.landmark_points()
-    here, there = [], []
+    here: list[tuple[float, float, float]] = []
+    there: list[Array] = []
     for number, row in read_table(path):
         name = row.get("name", "")
         if not name:
@@ -58,6 +59,8 @@ def read_landmarks(path: str | Path, head: Head) -> tuple[Array, Array]:
                 continue
         if name not in known:
             raise InputError(f"{path}: line {number}: {unknown_name('landmark', name, known)}")
+        if any(known[name] is place for place in there):
+            raise InputError(f"{path}: line {number}: {name} is there already; keep one of them")
         here.append(coordinates(row, f"{path}: line {number}"))
         there.append(known[name])
     if len(here) < 3:

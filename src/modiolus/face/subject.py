@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from ..anatomy.distance import DistanceGrid
-from ..anatomy.surface import Surface
+from ..anatomy.surface import Surface, check_face
 from ..errors import InputError
 from ..fitting import PointTarget, Smoothing
 from ..hermite import HermiteMesh, symmetry_plane
@@ -157,8 +157,10 @@ def build_subject(
         The skin does not meet the head.
     """
     tell = report or (lambda _fraction, _message: None)
+    skin = structures.skin
+    check_face(skin.name, skin.vertices[np.unique(skin.faces)])
     tell(0.0, "finding the pose of the skin")
-    aligned = align(head, structures.skin, landmarks)
+    aligned = align(head, skin, landmarks)
     made, margins = carried_head(head, aligned, lambda share, what: tell(0.8 * share, what), name)
     figures: dict[str, Any] = {}
     if structures.deep:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..anatomy.surface import Surface, is_whole_ply, read_surface
+from ..anatomy.surface import Surface, check_face, is_whole_ply, read_surface
 from ..errors import InputError, unknown_name
 from ..fitting.register import UNITS, Registration
 from .cloud import wrapped
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 #: Files larger than this (bytes) and scans of more points are refused: memory stays bounded.
 _LARGEST_FILE = 2**30
 _MOST_POINTS = 3_000_000
-#: Fewer distinct points than this tell nothing of a face.
-_FEWEST_POINTS = 500
 _MESHES = (".ply", ".obj", ".stl", ".vtp")
 _CLOUDS = (".xyz", ".txt", ".csv", ".asc", ".pts")
 #: Directions (azimuth, elevation in degrees) from which a face is looked at.
@@ -239,22 +237,12 @@ def read_scan(path: str | Path) -> Scan:
 
 
 def _check(path: Path, points: Array) -> None:
-    """Refuse what cannot be a face, before anything is computed with it."""
-    if not np.isfinite(points).all():
-        bad = int((~np.isfinite(points)).any(axis=1).sum())
-        raise InputError(f"{path}: {bad} points are not finite; remove them")
+    """Refuse what cannot be a face, and what memory does not hold."""
     if len(points) > _MOST_POINTS:
         raise InputError(
             f"{path}: {len(points)} points are more than {_MOST_POINTS}; decimate the scan"
         )
-    if len(points) < _FEWEST_POINTS:
-        raise InputError(
-            f"{path}: {len(points)} points are too few for a face (at least {_FEWEST_POINTS}); "
-            "give the whole scan"
-        )
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[0] == 0.0 or spread[2] < 1e-3 * spread[0]:
-        raise InputError(f"{path}: all points lie in a plane, on a line or in one place; no face")
+    check_face(str(path), points)
 
 
 def _tidied(surface: Surface, name: str) -> Surface:
