@@ -18,7 +18,7 @@ import pytest
 from modiolus import __version__
 from modiolus.cli import main
 from modiolus.cli.catalogue import ALONE
-from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.cli.outputs import use_of, whole_folder, write_report
 from modiolus.cli.simulate import describe, heading
 from modiolus.compiling import compiler, working_time
 from modiolus.errors import InputError, SolveError
@@ -86,6 +86,7 @@ def test_help_has_the_usual_values_of_the_settings(run):
     ("arguments", "words"),
     [
         (["simulat"], ["simulate"]),
+        (["head", "diff", "taro"], ["OTHER", "see modiolus head diff --help"]),
         (["simulate"], ["EXPRESSION"]),
         (["identify", "--head", "ict", "--scan", "face.ply", "--muscles", ","], ["--muscles"]),
         (["validate", ".", "--activations", ","], ["--activations", "table2"]),
@@ -425,6 +426,14 @@ def test_whole_folder_does_not_take_away_where_one_is(tmp_path, monkeypatch):
         whole_folder(Path(), marker="report.json"),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("folder", "head"),
+    [("heads/anna", "heads/anna"), ("taro", "./taro"), ("my heads/x", "'my heads/x'")],
+)
+def test_the_command_that_is_printed_takes_the_new_head(folder, head):
+    assert use_of(Path(folder)).endswith(f"simulate smile-closed --head {head}")
 
 
 def test_report_has_null_for_what_is_not_a_number(tmp_path):

@@ -405,7 +405,7 @@ def test_spoilt_deep_structures_are_refused(folder, key, spoil):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("format = 1", "format = 99", ["format is 99"]),
+        ("format = 1", "format = 99", ["format is 99", "later"]),
         ("format = 1", "format = ", ["not a TOML file"]),
         ('name = "taro"', 'name = "../../taro"', ["name"]),
         ('name = "taro"', "name = 7", ["name"]),

@@ -86,6 +86,9 @@ def _run(arguments: list[str]) -> int:
 
 def _one_line(error: Exception) -> str:
     text = error.format_message() if hasattr(error, "format_message") else str(error)
+    context = getattr(error, "ctx", None)
+    if context is not None and not text.startswith("Invalid value"):
+        text = f"{text.rstrip('.')}; see {context.command_path} --help"
     # Of a value that is of the wrong kind the option comes first, as everywhere.
     text = re.sub(
         r"^Invalid value for '(.+?)': Input (.+?)(, unable.*)?$", r"\1: \2; mend it", text

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, examples, help_alone, show
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import use_of, whole_folder
 from modiolus.errors import InputError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -205,8 +205,7 @@ def build(
         "quality": built.about["quality"],
         "files": {"folder": str(out)},
     }
-    text = f"{table}\n\nHead: {out}\nUse it with: modiolus simulate smile-closed --head {out}"
-    show(record, text, as_json, quiet)
+    show(record, f"{table}\n\n{use_of(out)}", as_json, quiet)
 
 
 def _build_subject(

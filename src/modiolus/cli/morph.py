@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, examples, show
-from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.cli.outputs import use_of, whole_folder, write_report
 from modiolus.errors import InputError, SolveError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -199,6 +199,5 @@ def account(record: Mapping[str, Any], made: Head, out: Path) -> str:
     return (
         f"The surface is in {quality['unit']}, as its size tells; its face is "
         f"{quality['size']:.2f} times as large as that of {record['morphed_from']}.\n\n"
-        f"{quality_text(quality)}\n\n{lines}\n\nHead: {out}\n"
-        f"Use it with: modiolus simulate smile-closed --head {out}"
+        f"{quality_text(quality)}\n\n{lines}\n\n{use_of(out)}"
     )

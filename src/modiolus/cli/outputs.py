@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import shlex
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 from modiolus.errors import InputError
 from modiolus.progress import Interruption
 
-__all__ = ["as_text", "whole_folder", "write_report"]
+__all__ = ["as_text", "use_of", "whole_folder", "write_report"]
 
 
 @contextlib.contextmanager
@@ -111,3 +112,12 @@ def _finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def use_of(head: Path) -> str:
+    """Return where a new head is and how to use it, as two lines."""
+    from modiolus.face.head import head_names
+
+    # A shipped head comes before a folder of the same name.
+    place = f"./{head}" if str(head) in head_names() else str(head)
+    return f"Head: {head}\nUse it with: modiolus simulate smile-closed --head {shlex.quote(place)}"

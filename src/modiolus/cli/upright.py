@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, examples, show
-from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.cli.outputs import use_of, whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -110,8 +110,7 @@ def upright(
         f"{name}: {len(found.gaps)} rounds, equilibrium lying within {found.gaps[-1]:.3f} mm of "
         f"{source.name}; upright the skin moves {record['greatest_move_mm']:.1f} mm at most, "
         f"{far} {np.linalg.norm(landmarks[far]['upright']):.1f} mm\n"
-        f"Picture: {record['files']['picture']}\nHead:    {out}\n"
-        f"Use it with: modiolus simulate smile-closed --head {out}"
+        f"Picture: {record['files']['picture']}\n{use_of(out)}"
     )
     show(record, text, as_json, quiet)
 

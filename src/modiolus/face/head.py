@@ -468,10 +468,11 @@ def _table(name: str, values: Mapping[str, Any]) -> list[str]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     table = read_toml(path, "name a head's directory")
-    if table.get("format") != FORMAT:
-        raise InputError(
-            f"{path}: format is {table.get('format')!r} and not {FORMAT}; build the head anew"
-        )
+    version = table.get("format")
+    if version != FORMAT:
+        later = isinstance(version, int) and version > FORMAT
+        mend = "take a later modiolus" if later else "build the head anew"
+        raise InputError(f"{path}: format is {version!r} and not {FORMAT}; {mend}")
     for key in ("name", "landmarks", "midplane"):
         if key not in table:
             raise InputError(f"{path}: it says nothing of {key!r}; build or copy the head anew")
