@@ -129,7 +129,7 @@ def test_a_flat_sheet_has_no_margins() -> None:
     faces = np.vstack(
         [np.column_stack([k, k + 1, k + 30]), np.column_stack([k + 1, k + 31, k + 30])]
     )
-    found = find_margins(Surface(vertices, faces), np.zeros(3), np.array([30.0, 0.0, 30.0]))
+    found = find_margins([Surface(vertices, faces)], np.zeros(3), np.array([30.0, 0.0, 30.0]))
     assert found.lips is None
     assert found.lid_upper is None
     assert found.lid_lower is None

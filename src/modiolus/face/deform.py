@@ -29,9 +29,11 @@ _HOST_SMOOTHING = (3e3, 3e3, 1e3, 1e3, 3e2, 3e2, 1e2, 1e2, 30.0, 30.0)
 _SKIN_SMOOTHING = ((1e-1, 1.0), (3e-2, 0.3), (1e-2, 0.1), (3e-3, 3e-2), (1e-3, 1e-2), (1e-3, 1e-2))
 #: Weight of the change of the derivatives through the tissue: the inner surface follows.
 _THROUGH = 1.0
-#: An element folds when its volume falls below this share somewhere, or its scaled Jacobian below
-#: a share of what it was, or below a value when that is less.
-_CRUSHED, _BENT = 0.3, (0.5, 0.3)
+#: An element folds when its volume falls below this share somewhere.
+_CRUSHED = 0.3
+#: Or when its scaled Jacobian falls below a share of what it was; from a first value on no element
+#: need keep more, and below a second one it has to keep a larger share.
+_BENT, _ENOUGH, _LITTLE = (0.5, 0.8), 0.3, 0.16
 #: By how much it is then made stiffer, and how often at most in one step.
 _STIFFER, _TRIES = 10.0, 15
 #: Weight of a point of a margin relative to one of the skin.
@@ -246,12 +248,11 @@ def fitted(
 ) -> HermiteMesh:
     """Fit the outer surface of a deformed head to the scan; the tissue below follows it.
 
-    Elements that would fold, where a scan is faulty or the closest point is not the right one,
-    are made stiffer until they do not.
+    An element that would fold, where a scan is faulty or the closest point is not the right one,
+    keeps for the moment the shape that it has come to.
     """
     held = symmetry_plane(head.tissue, *head.sides["midplane"])
-    mesh = start
-    stiffness = np.ones(start.n_elements)
+    mesh, stiffness = start, np.ones(start.n_elements)
     for (first, second), reach in zip(_SKIN_SMOOTHING, _reaches(len(_SKIN_SMOOTHING)), strict=True):
         points = mesh.evaluate(skin.elements, skin.xi)
         normals = outer_normals(head, mesh, skin)
@@ -260,41 +261,65 @@ def fitted(
         smoothing = Smoothing(
             first=(first, first, _THROUGH),
             second=(second, second, _THROUGH, second, _THROUGH, _THROUGH),
-            relative=True,
-            stiffness=stiffness,
+            relative=start,
+            # What was too stiff for this step needs less of it in the next.
+            stiffness=np.maximum(stiffness / _STIFFER, 1.0),
         )
-        mesh, stiffness = unfolded(start, [*targets, *margins, skin.cuts], smoothing, held)
+        mesh, stiffness = unfolded(mesh, [*targets, *margins, skin.cuts], smoothing, held)
     return mesh
 
 
 def unfolded(
-    start: HermiteMesh,
+    mesh: HermiteMesh,
     targets: list[PointTarget],
     smoothing: Smoothing,
     held: NDArray[np.bool_] | None = None,
 ) -> tuple[HermiteMesh, Array]:
-    """Fit a mesh, with elements that would fold made stiffer; return it and the stiffness."""
-    stiffness = np.broadcast_to(smoothing.stiffness, start.n_elements)
-    shape = _volumes(start)
+    """Fit a mesh; the change of elements that would fold is made stiffer until they do not.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+    targets : list of PointTarget
+    smoothing : Smoothing
+        Its change counts from ``relative``, the shape that no element may lose too much of. Its
+        stiffness, above 1, is one against the change from ``mesh``.
+    held : (n_params, 3) bool array, optional
+
+    Returns
+    -------
+    mesh : HermiteMesh
+    stiffness : (n_elements,) array
+        The one that it has taken.
+    """
+    rest = smoothing.relative if isinstance(smoothing.relative, HermiteMesh) else mesh
+    stiffness = np.broadcast_to(smoothing.stiffness, mesh.n_elements)
+    shape = _volumes(rest)
+    smooth = replace(smoothing, relative=rest, stiffness=1.0)
     for _ in range(_TRIES):
-        smoothing = replace(smoothing, stiffness=stiffness)
-        mesh = fit(start, targets, smoothing, held, iterations=1).mesh
-        folding = _folding(shape, _volumes(mesh))
+        keeping = replace(smoothing, relative=mesh, stiffness=stiffness - 1.0)
+        found = fit(mesh, targets, [smooth, keeping], held, iterations=1).mesh
+        folding = _folding(shape, _volumes(found))
         if not folding.any():
             break
         stiffness = np.where(folding, _STIFFER * stiffness, stiffness)
-    return mesh, stiffness
+    return found, stiffness
 
 
 def _volumes(mesh: HermiteMesh) -> tuple[Array, Array]:
-    """Return the Jacobian (n_elements, 125) in every element, and the least scaled one of each."""
-    tangents = mesh.jacobian(*spread(mesh, 5))
-    jacobian = np.linalg.det(tangents).reshape(mesh.n_elements, -1)
-    lengths = np.linalg.norm(tangents, axis=1).prod(axis=1).reshape(mesh.n_elements, -1)
-    return jacobian, (jacobian / lengths).min(axis=1)
+    """Return the Jacobian (n_elements, 125) in every element, and the least scaled one of each.
+
+    The scaled one is that at Gauss points: at the edge of a lip the skin runs on into its inner
+    side, and the tangents there lie in a plane in any head.
+    """
+    jacobian = np.linalg.det(mesh.jacobian(*spread(mesh, 5))).reshape(mesh.n_elements, -1)
+    elements, xi, _ = mesh.gauss_points(4)
+    scaled = mesh.scaled_jacobian(elements, xi).reshape(mesh.n_elements, -1)
+    return jacobian, scaled.min(axis=1)
 
 
 def _folding(old: tuple[Array, Array], new: tuple[Array, Array]) -> NDArray[np.bool_]:
     """Return which elements (n_elements,) have lost too much of their volume or shape."""
     crushed = (new[0] < _CRUSHED * old[0]).any(axis=1)
-    return np.asarray(crushed | (new[1] < np.minimum(_BENT[0] * old[1], _BENT[1])))
+    little = np.minimum(_BENT[1] * old[1], _LITTLE)
+    return np.asarray(crushed | (new[1] < np.clip(_BENT[0] * old[1], little, _ENOUGH)))

@@ -1,16 +1,19 @@
 """Where the lips part and the lids open on the surface of a face.
 
 A scan says nothing of margins. They are found in its depth as seen from the front: the parting
-line of the lips is the sharpest notch near the mouth, followed from the mid-plane to the corner
-where it fades; the opening of an eye is a patch behind a step in depth (the eyeball, or nothing
-at all) that a closed contour surrounds.
+line of the lips is the path along which the sharpest notch near the mouth runs, on both sides of
+the face at once, to the corner where it fades; the opening of an eye is a patch behind a step in
+depth (the eyeball, or nothing at all) that a closed contour surrounds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import label
 
 from ..anatomy.surface import Surface
@@ -23,8 +26,18 @@ _SEARCH = 13.0
 _UP, _ACROSS, _ARM = 0.1, 0.5, 1.5
 #: Depth (mm) that stands for a ray that meets nothing, behind the deepest hit.
 _NOTHING = 30.0
-#: Widest half mouth (mm); and the sharpness (mm) below which the notch has faded.
-_WIDEST, _FADED = 38.0, 0.6
+#: Widest half mouth (mm); the sharpness (mm) below which the notch has faded, and that from which
+#: on it is a gap, of whatever depth.
+_WIDEST, _FADED, _GAP = 38.0, 0.5, 3.0
+#: Length (mm) over which it may fade and go on.
+_LAPSE = 3.0
+#: Height (mm) of a place where rays meet nothing from which on it is a hole of the scan.
+_HOLE = 6.0
+#: Steepest slope of the parting line, the cost of a step up or down (mm of sharpness a mm²), and
+#: the weight of its bend.
+_SLOPE, _STEP_COST, _BEND = 2.0, 0.3, 10.0
+#: Columns in which the line must be known.
+_KNOWN = 20
 #: A depth step a ray (mm) at which the surface hides what is behind.
 _STEP = 0.8
 #: Half width and half height (mm) of the window in which an eye is sought, its rays' spacing, and
@@ -51,22 +64,34 @@ class Margins:
     lid_lower: Array | None
 
 
-def find_margins(surface: Surface, mouth: Array, eye: Array) -> Margins:
+def find_margins(surfaces: Sequence[Surface], mouth: Array, eye: Array) -> Margins:
     """Find the margins of the left half of a face that looks to -y.
 
     Parameters
     ----------
-    surface : Surface
-        The face in the frame of a head (mm).
+    surfaces : sequence of Surface
+        The face in the frame of a head (mm), and its mirror image.
     mouth : (3,) array
         About where the lips part in the mid-plane.
     eye : (3,) array
         About the middle of the left eye's opening.
     """
-    shell = surface.largest_component()
-    lids = _eye(shell, eye)
-    upper, lower = lids if lids is not None else (None, None)
-    return Margins(_mouth(shell, mouth), upper, lower)
+    shells = [surface.largest_component() for surface in surfaces]
+    lids = [found for shell in shells if (found := _eye(shell, eye)) is not None]
+    upper, lower = (_mean_line([pair[k] for pair in lids]) for k in (0, 1))
+    return Margins(_mouth(shells, mouth), upper, lower)
+
+
+def _mean_line(lines: list[Array]) -> Array | None:
+    """Return the mean of lines that run along x, point by point of their length across."""
+    if not lines:
+        return None
+    shares = np.linspace(0.0, 1.0, 101)
+    resampled = []
+    for line in lines:
+        at = (line[:, 0] - line[0, 0]) / (line[-1, 0] - line[0, 0])
+        resampled.append(np.column_stack([np.interp(shares, at, line[:, k]) for k in range(3)]))
+    return np.asarray(np.mean(resampled, axis=0))
 
 
 def _depths(surface: Surface, x: Array, z: Array) -> Array:
@@ -80,36 +105,88 @@ def _depths(surface: Surface, x: Array, z: Array) -> Array:
 def _sharpness(depth: Array) -> Array:
     """Return how much deeper (mm) each place of profiles (m, n) is than its sides."""
     arm = round(_ARM / _UP)
-    out = np.full(depth.shape, -np.inf)
+    out = np.zeros(depth.shape)
     sides = 0.5 * (depth[:, 2 * arm :] + depth[:, : -2 * arm])
     # A gap between the lips must not count more than a deep notch.
-    out[:, arm:-arm] = np.minimum(depth[:, arm:-arm] - sides, 6.0)
+    out[:, arm:-arm] = np.clip(depth[:, arm:-arm] - sides, 0.0, _GAP)
     return out
 
 
-def _mouth(surface: Surface, mouth: Array) -> Array | None:
+def _in_holes(seen: Array) -> NDArray[np.bool_]:
+    """Return which places of a raster are in a hole of the scan, or too near to one."""
+    patches, count = label(np.isnan(seen))
+    out = np.zeros(seen.shape, dtype=bool)
+    for number in range(1, count + 1):
+        rows = np.flatnonzero((patches == number).any(axis=0))
+        # The gap between two lips is low.
+        if np.ptp(rows) * _UP > _HOLE:
+            out |= patches == number
+    arm = round(_ARM / _UP)
+    wide = np.pad(out, ((0, 0), (arm, arm)))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(wide, 2 * arm + 1, 1).any(axis=-1))
+
+
+def _mouth(surfaces: Sequence[Surface], mouth: Array) -> Array | None:
+    """Return the parting line (n, 3) from the mid-plane to the corner of the mouth."""
     x = mouth[0] + np.arange(0.0, _WIDEST, _ACROSS)
     z = mouth[2] + np.arange(-_SEARCH - _ARM, _SEARCH + _ARM, _UP)
-    seen = _depths(surface, x, z)
-    if np.isnan(seen[:12]).mean() > 0.4:
-        return None
-    depth = np.where(np.isnan(seen), np.nanmax(seen) + _NOTHING, seen)
-    sharp = _sharpness(depth)
+    sharp, profiles = np.zeros((len(x), len(z))), []
+    for surface in surfaces:
+        seen = _depths(surface, x, z)
+        if np.isnan(seen).all():
+            continue
+        depth = np.where(np.isnan(seen), np.nanmax(seen) + _NOTHING, seen)
+        known = ~_in_holes(seen)
+        sharp = np.maximum(sharp, np.where(known, _sharpness(depth), 0.0))
+        profiles.append((seen, depth, known))
     likely = np.exp(-(((z - mouth[2]) / (0.8 * _SEARCH)) ** 2))
-    here = int(np.argmax(np.median(np.clip(sharp[2:12], 0.0, None), axis=0) * likely))
-    window = round(1.0 / _UP)
+    rows = _sharpest_path(sharp * likely)
     line: list[Array] = []
-    for k in range(len(x)):
-        near = np.arange(max(here - window, 0), min(here + window + 1, len(z)))
-        here = int(near[np.argmax(sharp[k, near])])
-        if sharp[k, here] < _FADED:
+    for k, row in enumerate(rows):
+        if line and x[k] - line[-1][0] > _LAPSE:
             break
-        line.append(np.array([x[k], *_parting(seen[k], depth[k], z, here)]))
-    return np.array(line) if len(line) > 20 else None
+        found = [
+            _parting(seen[k], depth[k], z, row) for seen, depth, known in profiles if known[k, row]
+        ]
+        if found and sharp[k, row] > _FADED:
+            line.append(np.array([x[k], *np.mean(found, axis=0)]))
+    if len(line) < _KNOWN:
+        return None
+    # Rays fall on one lip or the other, and on the steps of the scan: the line itself is smooth.
+    along, back, up = np.array(line).T
+    smooth = [make_smoothing_spline(along, part, lam=_BEND)(along) for part in (back, up)]
+    return np.column_stack([along, *smooth])
+
+
+def _sharpest_path(gain: Array) -> NDArray[np.int64]:
+    """Return the row in each column of a raster (m, n) of the path with the greatest sum.
+
+    Steps from column to column cost their square (Bellman's dynamic programming).
+    """
+    most = round(_SLOPE * _ACROSS / _UP)
+    shifts = np.arange(-most, most + 1)
+    rows = np.arange(gain.shape[1])
+    before = rows - shifts[:, None]
+    outside = (before < 0) | (before >= len(rows))
+    cost = np.where(outside, np.inf, _STEP_COST * (shifts[:, None] * _UP) ** 2)
+    before = np.clip(before, 0, len(rows) - 1)
+    best, origins = gain[0], []
+    for column in gain[1:]:
+        reached = best[before] - cost
+        pick = reached.argmax(axis=0)
+        origins.append(before[pick, rows])
+        best = reached[pick, rows] + column
+    path = [int(best.argmax())]
+    for origin in reversed(origins):
+        path.append(int(origin[path[-1]]))
+    return np.array(path[::-1])
 
 
 def _parting(seen: Array, depth: Array, z: Array, here: int) -> tuple[float, float]:
-    """Return depth and height where two lips meet, or half way between where they stop showing."""
+    """Return depth and height where two lips meet, or half way between where they stop showing.
+
+    Where one hangs over the other they meet behind it.
+    """
     steps = np.abs(np.diff(depth)) > _STEP
     reach = round(2.0 / _UP)
     low, high = max(here - reach, 0), min(here + reach, len(steps))
@@ -117,6 +194,8 @@ def _parting(seen: Array, depth: Array, z: Array, here: int) -> tuple[float, flo
     if not len(found):
         return float(depth[here]), float(z[here])
     edges = [int(found[0]), int(found[-1]) + 1]
+    if len(found) == 1:
+        edges = [max(edges, key=lambda k: float(depth[k]))]
     known = [k for k in edges if not np.isnan(seen[k])]
     if not known:
         return float(depth[here]), float(z[here])

@@ -111,32 +111,14 @@ def _kept_inside(head: Head, morphed: Head) -> dict[str, Muscle]:
 
 
 def _both_margins(head: Head, skin: SkinPlaces, scans: list[Matcher]) -> Margins:
-    """Find the margins on both sides of a scan; where both show them, their mean."""
+    """Find the margins of a scan, near where the head has its own."""
     places = {
         key: head.tissue.evaluate(elements, xi) for key, (elements, xi) in skin.margins.items()
     }
     lips = np.vstack([places["lip_upper"], places["lip_lower"]])
     mouth = lips[np.argmin(lips[:, 0])]
     eye = np.vstack([places["lid_upper"], places["lid_lower"]]).mean(axis=0)
-    found = [find_margins(scan.surface, mouth, eye) for scan in scans]
-    lines = {
-        key: _mean_line([getattr(margins, key) for margins in found])
-        for key in ("lips", "lid_upper", "lid_lower")
-    }
-    return Margins(**lines)
-
-
-def _mean_line(lines: list[Array | None]) -> Array | None:
-    """Return the mean of lines that run along x, point by point of their length across."""
-    known = [line for line in lines if line is not None]
-    if not known:
-        return None
-    shares = np.linspace(0.0, 1.0, 101)
-    resampled = []
-    for line in known:
-        at = (line[:, 0] - line[0, 0]) / (line[-1, 0] - line[0, 0])
-        resampled.append(np.column_stack([np.interp(shares, at, line[:, k]) for k in range(3)]))
-    return np.asarray(np.mean(resampled, axis=0))
+    return find_margins([scan.surface for scan in scans], mouth, eye)
 
 
 @dataclass(frozen=True)

@@ -134,8 +134,9 @@ class Smoothing:
         Weight of each first derivative.
     second : float or sequence of dim * (dim + 1) / 2 floats
         Weights of the second derivatives, pure ones first, then 12, 13, 23.
-    relative : bool
-        Penalise the change from the initial mesh instead of the derivative itself.
+    relative : bool or HermiteMesh
+        Penalise the change from the initial mesh, or from one given, instead of the derivative
+        itself.
     points : int
         Gauss points a direction; with 4 the integrals are exact.
     stiffness : float or (n_elements,) array
@@ -144,7 +145,7 @@ class Smoothing:
 
     first: float | Sequence[float] = 0.0
     second: float | Sequence[float] = 1e-2
-    relative: bool = False
+    relative: bool | HermiteMesh = False
     points: int = 4
     stiffness: float | Array = 1.0
 
@@ -293,7 +294,7 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
 def fit(
     mesh: HermiteMesh,
     targets: Sequence[Target],
-    smoothing: Smoothing | None = None,
+    smoothing: Smoothing | Sequence[Smoothing] = (),
     fixed: NDArray[np.bool_] | None = None,
     constraints: tuple[sp.csr_matrix, Array] | None = None,
     iterations: int = 5,
@@ -306,7 +307,8 @@ def fit(
     mesh : HermiteMesh
         Initial mesh.
     targets : sequence of CloudTarget, SurfaceTarget or PointTarget
-    smoothing : Smoothing, optional
+    smoothing : Smoothing or sequence of Smoothing, optional
+        Penalties that add up; by default one of the second derivatives.
     fixed : (n_params, 3) bool array, optional
         Unknowns that keep their initial value.
     constraints : (matrix (k, 3 * n_params), values (k,)), optional
@@ -340,15 +342,15 @@ def fit(
             f"constraints: shape {constraints[0].shape} for {len(constraints[1])} values; give a "
             f"row each of {3 * mesh.n_params} columns"
         )
-    smoothing = smoothing or Smoothing()
-    roughness = sobolev(mesh, smoothing)
-    reference = mesh.parameters if smoothing.relative else np.zeros_like(mesh.parameters)
+    every = [smoothing] if isinstance(smoothing, Smoothing) else smoothing or [Smoothing()]
+    penalties = [(sobolev(mesh, one), _reference(mesh, one)) for one in every]
+    roughness = sum((matrix for matrix, _ in penalties[1:]), penalties[0][0])
     free = np.flatnonzero(~held.ravel())
     identity = sp.identity(3, format="csr")
     for _ in range(iterations):
         current = mesh.parameters
         matrix = sp.kron(roughness + damping * sp.identity(mesh.n_params), identity, format="csr")
-        right = (roughness @ (reference - current)).ravel()
+        right = sum(part @ (rest - current) for part, rest in penalties).ravel()
         for target in targets:
             residual = _residual(target, mesh)
             gap = residual.points - residual.operator @ current
@@ -378,6 +380,13 @@ def fit(
         elements, xi, _ = mesh.gauss_points(4)
         smallest = float(np.linalg.det(mesh.jacobian(elements, xi)).min())
     return FitResult(mesh, groups, smallest)
+
+
+def _reference(mesh: HermiteMesh, smoothing: Smoothing) -> Array:
+    """Return the parameters from which a smoothing counts."""
+    if isinstance(smoothing.relative, HermiteMesh):
+        return smoothing.relative.parameters
+    return mesh.parameters if smoothing.relative else np.zeros_like(mesh.parameters)
 
 
 def _report(distances: Array) -> GroupReport:
