@@ -44,7 +44,7 @@ def test_force_and_tangent_match_finite_differences(gap, flanked):
     mesh, upper, lower = stacked(gap)
     flanks = ((), [(lower[0][1::2], 0, 1)] if flanked else ())
     contact = SurfaceContact(mesh, upper, lower, stiffness=50.0, flanks=flanks)
-    problem = Problem(mesh, [2.0, 0.5, 0.0], terms=[contact])
+    problem = Problem(mesh, [2.0, 0.5, 0.0], terms=[contact, *filter(None, [contact.edges])])
     state = problem.rest()
     moved = bent(mesh)
     moved[upper_part(mesh, upper)[::8]] -= [0.4, -0.2, gap + 0.2]
@@ -96,19 +96,19 @@ def test_force_follows_a_point_that_slides_over_the_border_of_an_element():
             assert contact.penetration(moved) == pytest.approx(0.4)
 
 
-def test_points_that_slide_out_are_let_go():
+def test_a_body_without_flanks_goes_on_for_its_own_width():
     mesh, upper, lower = stacked(0.0, (1, 1, 1), (1, 1, 1))
     contact = SurfaceContact(mesh, upper, lower, stiffness=20.0, onset=0.0)
     problem = Problem(mesh, [2.0, 0.0, 0.0], terms=[contact])
     energies = []
-    for slide in (0.0, 8.0, 19.0):
+    for slide in (0.0, 19.0, 30.0, 40.0):
         moved = mesh.parameters.copy()
         moved[upper_part(mesh, upper)[::8]] += [slide, 0.0, -0.4]
-        problem.update(moved)
         pressure = np.zeros(len(problem.assembly.pressure_equations))
         energies.append(problem.evaluate(moved, pressure, Load()).energies["surface contact"])
-    assert energies[0] == pytest.approx(0.5 * 20 * 0.4**2 * 15 * 14)
-    assert energies[0] > energies[1] > energies[2] > 0.0
+    whole = 0.5 * 20 * 0.4**2 * 15 * 14
+    np.testing.assert_allclose(energies[:2], whole)
+    assert 0.0 < energies[2] < whole and energies[3] == 0.0
 
 
 def over_an_edge(shift):
@@ -120,12 +120,11 @@ def over_an_edge(shift):
     mesh, one, other = joined(below, above), np.array([1]), np.array([0])
     flanks = [(one, 0, 0)], [(other, 0, 1)]
     contact = SurfaceContact(mesh, (one, 2, 0), (other, 2, 1), 20.0, 0.0, flanks=flanks)
-    problem = Problem(mesh, [2.0, 0.0, 0.0], terms=[contact])
+    problem = Problem(mesh, [2.0, 0.0, 0.0], terms=[contact, contact.edges])
     moved = mesh.parameters.copy()
     moved[upper_part(mesh, (one, 2, 0))[::8]] += shift
-    problem.update(moved)
     found = problem.evaluate(moved, problem.rest().pressure, Load())
-    return found.energies["surface contact"], contact.penetration(moved)
+    return found.energy - found.energies["tissue"], contact.penetration(moved)
 
 
 def test_a_body_before_another_meets_its_flank():
@@ -191,6 +190,42 @@ def test_patches_know_their_edges_to_neighbours():
     assert inner[:, :2].sum() == 2 * 4 and inner[:, 2:].sum() == 2 * 3
 
 
+def test_an_edge_is_round():
+    edge, r = 20 * 14 / 8, facing.EDGE
+    # As far below the top as behind the flank: a quarter of the rounding is taken off.
+    energy, _ = over_an_edge([19.9, 0.0, -0.1])
+    assert energy == pytest.approx(0.5 * 20 * (0.1 - r / 4) ** 2 * edge)
+    # From there to where either side is alone the energy goes on without a jump or a kink.
+    across = np.array([over_an_edge([20 - d, 0.0, -0.15])[0] for d in np.arange(0.0, 0.5, 0.005)])
+    steps = np.diff(across)
+    assert (steps > -1e-12).all() and across[0] == 0.0
+    assert np.abs(np.diff(steps)).max() < 0.15 * steps.max()
+    assert across[-1] == pytest.approx(0.5 * 20 * 0.15**2 * edge)
+
+
+@pytest.mark.parametrize("shift", [[19.92, 0.0, -0.1], [19.85, 0.1, -0.2]])
+def test_force_and_tangent_at_an_edge_match_finite_differences(shift):
+    mesh, upper, lower = stacked(0.0, (1, 1, 1), (1, 1, 1))
+    contact = SurfaceContact(mesh, upper, lower, 50.0, flanks=((), [(lower[0], 0, 1)]))
+    problem = Problem(mesh, [2.0, 0.5, 0.0], terms=[contact, contact.edges])
+    state = problem.rest()
+    state.parameters[:] = bent(mesh, 0.02)
+    state.parameters[upper_part(mesh, upper)[::8]] += np.subtract(shift, [2.0, 0.0, 0.0])
+    found = problem.evaluate(state.parameters, state.pressure, Load(), tangent=True)
+    assert found.energies["surface contact, edges"] > 0.01
+    full = problem.tangent()
+    full = full + sp.triu(full, 1).T
+    direction = np.random.default_rng(7).normal(size=problem.n_unknowns)
+    h = 1e-6
+    ahead, behind = (
+        problem.evaluate(*problem.add(state, direction, sign * h), Load()) for sign in (1, -1)
+    )
+    slope = (ahead.energy - behind.energy) / (2 * h)
+    assert slope == pytest.approx(found.residual @ direction, rel=1e-5)
+    rate = (ahead.residual - behind.residual) / (2 * h)
+    assert np.abs(rate - full @ direction).max() < 1e-5 * np.abs(rate).max()
+
+
 def test_points_far_inside_a_body_are_let_go():
     mesh, upper, lower = stacked()
     slave, master = facing.Patches.of(mesh, upper), facing.Patches.of(mesh, lower)
@@ -198,14 +233,11 @@ def test_points_far_inside_a_body_are_let_go():
     meeting = facing.Facing(slave, master, patches, xi)
     sunk = upper_part(mesh, upper)
 
-    def share(depth):
+    def distance(depth):
         moved = mesh.parameters.copy()
         moved[sunk[::8], 2] -= depth
-        meeting.settle(moved)
-        return meeting.share
+        return meeting.project(moved).distance
 
-    np.testing.assert_allclose(share(facing.DEEPEST / 2), 1.0)
-    np.testing.assert_allclose(share(facing.DEEPEST * 5 / 6), 0.5)
-    np.testing.assert_allclose(share(facing.DEEPEST + 0.1), 0.0)
-    # Far before the body they are free to come.
-    np.testing.assert_allclose(share(-30.0), 1.0)
+    np.testing.assert_allclose(distance(facing.DEEPEST - 0.1), 0.1 - facing.DEEPEST)
+    np.testing.assert_array_equal(distance(facing.DEEPEST + 0.1), np.inf)
+    np.testing.assert_array_equal(distance(-30.0), np.inf)

@@ -95,7 +95,6 @@ def trace(
     here, length = _Place(state.parameters, state.pressure, 0.0), stride.length
     before: Array | None = None
     for number in range(stride.states):
-        problem.update(here.parameters)
         path.factorise(here)
         rate = path.rate(here)
         size = problem.size(rate)

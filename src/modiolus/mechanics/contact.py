@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..hermite import HermiteMesh, gauss, trapezoidal
 from .assembly import Pattern
-from .facing import Facing, Immersion, Pairs, Patches, Side
+from .facing import EDGE, Facing, Immersion, Meetings, Patches, Side, blended
 from .laws import PAIRS, Array
 from .terms import IntArray, Load, PointTerm, Response, by_host, penalty
 
@@ -157,14 +157,17 @@ class SurfaceContact(PointTerm):
         `segments` makes those that integrate the pressure exactly between meshes that do not match.
     flanks : pair of sequences of (elements, axis, side), optional
         Other sides of the elements of slave and master. Those of the master end its body: points
-        before them are outside it, and `update` chooses where a point is pushed out. Those of
-        the slave are watched for overlap, not pushed. Without flanks the body has no end.
+        before them are outside it, and a point is pushed out by the side that it is least behind.
+        Those of the slave are watched for overlap, not pushed. Without flanks the body has no end.
     name : str
 
     Attributes
     ----------
     areas : (n,) array
         Of the points at rest, in mm².
+    edges : EdgeContact or None
+        The term of the points at edges of the master's body, where it has any; a problem takes it
+        beside this one.
     """
 
     #: Difference of the positions; tangents and second derivatives of the master.
@@ -192,29 +195,24 @@ class SurfaceContact(PointTerm):
         self.onset = onset
         self.areas = np.asarray(points[2], dtype=float)
         self.stiffness = stiffness * self.areas
-        self._facing = Facing(first, second, points[0], points[1])
-        self._pairs = Pairs(self._facing)
-        self._order = np.empty(0, dtype=np.int64)
+        self.facing = Facing(first, second, points[0], points[1])
+        self._meetings = Meetings.sides(self.facing)
+        self._points = np.empty(0, dtype=np.int64)
         self._sign = np.empty(0)
         self._immersion = Immersion(mesh, [slave, *flanks[0]], [master, *flanks[1]])
+        self.edges = EdgeContact(self) if flanks[1] else None
 
     def pattern(self) -> Pattern:
         """Return the pattern of the pairs of patches that may meet."""
-        return self._pairs.pattern
-
-    def update(self, parameters: Array) -> None:
-        """Choose what pushes each point out of the master, and let go those that slid off it.
-
-        Both stand still within a load step: beyond its border the master is only its tangent
-        plane, on which lips would turn each other, and points at an edge would come and go.
-        """
-        self._facing.settle(parameters)
+        return self._meetings.pattern
 
     def follow(self, parameters: Array) -> tuple[Array, IntArray]:
-        """Project the points anew and return their functionals."""
-        found = self._facing.project(parameters)
-        functions, starts, self._order = self._pairs.functionals(found)
-        self._sign = self._facing.master.sign[found.host[self._order]]
+        """Project the points anew and return the functionals of those that face one side."""
+        found = self.facing.project(parameters)
+        points = np.flatnonzero((found.host[:, 0] >= 0) & (found.host[:, 1] < 0))
+        host, xi = found.host[points, :1], found.xi[points, :1]
+        functions, starts, order = self._meetings.functionals(points, host, xi)
+        self._points, self._sign = points[order], self.facing.master.sign[host[order, 0]]
         return functions, starts
 
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
@@ -225,48 +223,38 @@ class SurfaceContact(PointTerm):
         the tangents ``τ`` and the curvature ``κ = n · ∂²x_m``:
         ``Δδg = -b·Δξ - Δb·δξ - δξ·κΔξ + g (b + κδξ)·a⁻¹(Δb + κΔξ)`` with ``b = n · δτ``.
         """
-        n_points = len(vectors)
-        stiffness = (self._facing.share * self.stiffness)[self._order]
-        least = self._facing.least[self._order]
-        w, tangents = vectors[:, 0], vectors[:, 1:3]
-        normal = self._sign[:, None] * np.cross(tangents[:, 0], tangents[:, 1])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        gap = (w * normal).sum(axis=1)
-        depth = least - gap
-        if self.name in load.offsets:
-            depth += load.offsets[self.name][self._order]
-        energies, slope, bend = (stiffness * part for part in penalty(depth, self.onset))
-        forces = np.zeros((n_points, 6, 3))
+        gap, normal = _gaps(vectors, self._sign)
+        energies, slope, bend = self.pushes(self._points, gap, load)
+        forces = np.zeros_like(vectors)
         forces[:, 0] = -slope[:, None] * normal
         # By the vector and its component: (n, 3, 3, 3, 3) for the first three vectors.
-        second = np.zeros((n_points, 6, 3, 6, 3))
+        second = np.zeros((len(vectors), 6, 3, 6, 3))
         second[:, 0, :, 0] = bend[:, None, None] * normal[:, :, None] * normal[:, None, :]
         touching = slope > 0.0
         if touching.any() and not convex:
-            curvature = vectors[:, [3, 4, 4, 5]] @ normal[:, :, None]
             second[touching, :3, :, :3] -= slope[touching, None, None, None, None] * bent(
-                gap[touching],
-                normal[touching],
-                tangents[touching],
-                curvature.reshape(-1, 2, 2)[touching],
+                gap[touching], normal[touching], vectors[touching]
             )
-        pairs = [second[:, :, i, :, j] for i, j in PAIRS]
-        return Response(energies, forces, np.stack(pairs, axis=1))
+        stiffness = np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
+        return Response(energies, forces, stiffness)
+
+    def pushes(self, points: IntArray, distance: Array, load: Load) -> tuple[Array, Array, Array]:
+        """Return the penalty of some points at distances (k,), its slope and second derivative."""
+        depth = self.facing.least[points] - distance
+        if self.name in load.offsets:
+            depth += load.offsets[self.name][points]
+        energies, slope, bend = (self.stiffness[points] * p for p in penalty(depth, self.onset))
+        return energies, slope, bend
 
     def augmented(self, parameters: Array, load: Load) -> Array:
         """Return the offsets that would keep the present forces without overlap, (n,)."""
-        found = self._facing.project(parameters)
-        depth = self._facing.least - found.gap + load.offsets.get(self.name, 0.0)
-        # Points that were let go carry no force that could be kept.
-        pushed = (found.host >= 0) & (self._facing.share > 0.0)
-        return np.where(pushed, np.maximum(depth, 0.0), 0.0)
+        distance = self.facing.project(parameters).distance
+        return np.maximum(self.facing.least - distance + load.offsets.get(self.name, 0.0), 0.0)
 
     def pressure(self, parameters: Array, load: Load) -> tuple[Array, Array]:
         """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
         slope = penalty(self.augmented(parameters, load), self.onset)[1]
-        return self._facing.points(
-            parameters
-        ), self._facing.share * self.stiffness * slope / self.areas
+        return self.facing.points(parameters), self.stiffness * slope / self.areas
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return how deep the slave is inside the master's elements beyond that at rest, in mm.
@@ -277,15 +265,91 @@ class SurfaceContact(PointTerm):
         return float(self._immersion.depth(parameters).max(initial=0.0))
 
 
-def bent(gap: Array, normal: Array, tangents: Array, curvature: Array) -> Array:
+class EdgeContact(PointTerm):
+    """The points of a `SurfaceContact` at an edge of the master's body, between two of its sides.
+
+    The energy is that of the other points, with the distance ``d`` to both sides `blended`. With
+    shares ``w`` and the rounding ``r`` = `EDGE` the second variation of ``d`` is
+    ``w_a Δδg_a + w_b Δδg_b + (δg_a - δg_b)(Δg_a - Δg_b)/2r``.
+
+    Parameters
+    ----------
+    contact : SurfaceContact
+    """
+
+    #: Those of a `SurfaceContact` for both sides.
+    width = 12
+    follows = True
+
+    def __init__(self, contact: SurfaceContact) -> None:
+        super().__init__(f"{contact.name}, edges", contact.functions, [])
+        self._contact = contact
+        self._meetings = Meetings.edges(contact.facing)
+        self._points = np.empty(0, dtype=np.int64)
+        self._sign = np.empty((0, 2))
+
+    def pattern(self) -> Pattern:
+        """Return the pattern of a patch of the slave with two of the master that share an edge."""
+        return self._meetings.pattern
+
+    def follow(self, parameters: Array) -> tuple[Array, IntArray]:
+        """Return the functionals of the points that face two sides."""
+        facing = self._contact.facing
+        found = facing.project(parameters)
+        points = np.flatnonzero(found.host[:, 1] >= 0)
+        order = np.argsort(found.host[points], axis=1)
+        host = np.take_along_axis(found.host[points], order, axis=1)
+        xi = np.take_along_axis(found.xi[points], order[:, :, None], axis=1)
+        functions, starts, order = self._meetings.functionals(points, host, xi)
+        self._points, self._sign = points[order], facing.master.sign[host[order]]
+        return functions, starts
+
+    def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
+        """Evaluate the penalty of the blended distance at the points last projected."""
+        n = len(vectors)
+        parts = vectors[:, :6], vectors[:, 6:]
+        gaps, normals = zip(
+            *(_gaps(part, self._sign[:, k]) for k, part in enumerate(parts)), strict=True
+        )
+        distance, share = blended(*gaps)
+        shares = share, 1.0 - share
+        energies, slope, bend = self._contact.pushes(self._points, distance, load)
+        along, apart = np.zeros((n, 12, 3)), np.zeros((n, 12, 3))
+        for k, sign in enumerate((1.0, -1.0)):
+            along[:, 6 * k] = shares[k][:, None] * normals[k]
+            apart[:, 6 * k] = sign * normals[k]
+        second = bend[:, None, None] * along.reshape(n, 36, 1) * along.reshape(n, 1, 36)
+        second = second.reshape(n, 12, 3, 12, 3)
+        touching = slope > 0.0
+        if touching.any() and not convex:
+            force = slope[touching, None, None, None, None]
+            apart = apart[touching]
+            second[touching] -= (0.5 / EDGE) * force * np.einsum("nai,nbj->naibj", apart, apart)
+            for k in range(2):
+                some = slice(6 * k, 6 * k + 3)
+                turn = bent(gaps[k][touching], normals[k][touching], parts[k][touching])
+                weight = shares[k][touching, None, None, None, None]
+                second[touching, some, :, some] -= force * weight * turn
+        stiffness = np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
+        return Response(energies, -slope[:, None, None] * along, stiffness)
+
+
+def _gaps(vectors: Array, sign: Array) -> tuple[Array, Array]:
+    """Return gaps (n,) and outward normals (n, 3) from a point's vectors (n, 6, 3)."""
+    normal = sign[:, None] * np.cross(vectors[:, 1], vectors[:, 2])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return (vectors[:, 0] * normal).sum(axis=1), normal
+
+
+def bent(gap: Array, normal: Array, vectors: Array) -> Array:
     """Return the second derivative of gaps by ``(w, τ1, τ2)``, see `SurfaceContact.respond`.
 
     Parameters
     ----------
     gap : (n,) array
     normal : (n, 3) array
-    tangents : (n, 2, 3) array
-    curvature : (n, 2, 2) array
+    vectors : (n, 6, 3) array
+        Difference of the positions; tangents and second derivatives of the master.
 
     Returns
     -------
@@ -293,6 +357,8 @@ def bent(gap: Array, normal: Array, tangents: Array, curvature: Array) -> Array:
         Vector, component, vector, component.
     """
     n = len(gap)
+    tangents = vectors[:, 1:3]
+    curvature = (vectors[:, [3, 4, 4, 5]] @ normal[:, :, None]).reshape(-1, 2, 2)
     metric = tangents @ tangents.transpose(0, 2, 1)
     drive = np.zeros((n, 2, 3, 3))
     drive[:, :, 0] = tangents

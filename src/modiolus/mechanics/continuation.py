@@ -349,7 +349,6 @@ class Continuation:
             In mm.
         """
         problem, state = self.problem, self.state
-        problem.update(state.parameters)
         self._factorise(state.parameters, state.pressure, state.load)
         equations = problem.assembly.equations
         out = np.zeros((*equations.shape, slopes.shape[1]))
@@ -413,7 +412,6 @@ class Continuation:
         last state.
         """
         problem, state = self.problem, self.state
-        problem.update(state.parameters)
         held = self._held(load)
         if not self._at_hand or held.any():
             self._factorise(state.parameters, state.pressure, state.load)
@@ -516,7 +514,6 @@ class Continuation:
         """
         problem, settings = self.problem, self.settings
         state = self.state
-        problem.update(state.parameters)
         moved = state.parameters + self._held(load)
         here = _Iterate(moved, state.pressure, problem.evaluate(moved, state.pressure, load))
         viscosity = 1.0

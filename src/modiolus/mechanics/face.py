@@ -595,13 +595,13 @@ def _motion(jaw: Jaw | None, share: float) -> Callable[[Load], tuple[Array, Arra
     return lambda load: jaw.pose(share * load.jaw)
 
 
-def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[SurfaceContact]:
+def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[PointTerm]:
     """Put the upper against the lower lip and lid, and the lower against the upper."""
     for part in ("lip", "lid"):
         margins = {which: head.sides[f"{part}_{which}"] for which in ("upper", "lower")}
         flanks = {which: _flanks(head, side[0]) for which, side in margins.items()}
         for which, other in (("upper", "lower"), ("lower", "upper")):
-            yield SurfaceContact(
+            contact = SurfaceContact(
                 head.tissue,
                 margins[which],
                 margins[other],
@@ -609,6 +609,7 @@ def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[SurfaceContac
                 flanks=(flanks[which], flanks[other]),
                 name=f"contact of the {which} {part}",
             )
+            yield from filter(None, (contact, contact.edges))
 
 
 def _flanks(head: Head, elements: NDArray[np.int64]) -> list[Side]:

@@ -7,9 +7,10 @@ border of the patch, the neighbours are asked; beyond the border of the whole su
 patch goes on straight for its own width.
 
 The body behind a master may end at flanks as well, as a lip does at the skin and at the mouth.
-A point is inside it when it lies below the master and below all of its flanks. Which of them
-pushes it out again is decided once a load step, by where it then is: a lip that slides out over
-the edge of the other is let go there, and one that lies before the other meets its flank.
+A point is inside it when it lies below the master and below all of its flanks; its distance is
+the greatest of those to the sides. Where two of them are nearly alike, at an edge, they are
+blended, as if the edge were round: a lip that slides out over the edge of the other is let go
+there, and one that lies before the other meets its flank.
 """
 
 from __future__ import annotations
@@ -40,16 +41,12 @@ BEYOND = 1.0
 DEEPEST = 3.0
 #: Points farther than this (mm) from the master are not followed.
 FREE = 0.5
-#: The same beyond the master's border, where its tangent plane soon cuts through anything.
-SHALLOW = 0.5
-#: Overlap (mm) up to which a point that begins a load step inside a body belongs to a side of it.
-SETTLED = 1.0
-#: Distance (mm) from the edge to a flank over which points are let go that slide out there.
-EDGE = 0.15
+#: Difference (mm) of the distances to two sides of a body below which they are blended.
+EDGE = 0.2
+#: Widths of a patch beyond the master's border at which points far from all flanks are before them.
+ROOM = 0.1
 #: How many times a width beyond an edge to a neighbour counts, which is there to be met instead.
 ASIDE = 4.0
-#: Widths of a patch beyond the border of a surface at which points are let go.
-FADE = 0.2
 
 
 @njit(cache=True)
@@ -307,48 +304,38 @@ def project(
 
 
 @njit(cache=True)
-def relate(
-    places: Any,
-    xi: Any,
-    order: Any,
-    pairs: Any,
-    slave: Any,
-    master: Any,
-    functions: Any,
-) -> None:
+def relate(places: Any, xi: Any, pairs: Any, slave: Any, master: Any, functions: Any) -> None:
     """Write the functionals of points: ``x_slave - x_master`` and the master's derivatives.
 
     Parameters
     ----------
-    places : (n, 2) array
+    places : (k, 2) array
         Local coordinates of the points on the slave's patches.
-    xi : (n, 2) array
+    xi : (k, 2) array
         Local coordinates of their projections.
-    order : (k,) int array
-        Points to write.
     pairs : (k,) int array
-        Pair of patches of each of these.
+        Patches that meet there.
     slave, master : (g, 16, m) arrays
-        Local parameters of the two patches of a pair from the parameters of the pair.
-    functions : (6 k, m) array, written
+        Local parameters of the two patches from the parameters of those that meet.
+    functions : (k, 6, m) array, written
         For each point the difference of the positions and the derivatives 1, 2, 11, 12, 22 of
         the master's.
     """
     here = np.empty((6, 16))
     there = np.empty((6, 16))
-    for k in range(len(order)):
-        patch_functions(places[order[k], 0], places[order[k], 1], here)
-        patch_functions(xi[order[k], 0], xi[order[k], 1], there)
-        for a in range(functions.shape[1]):
+    for k in range(len(pairs)):
+        patch_functions(places[k, 0], places[k, 1], here)
+        patch_functions(xi[k, 0], xi[k, 1], there)
+        for a in range(functions.shape[2]):
             for d in range(6):
                 total = 0.0
                 for c in range(16):
                     total += there[d, c] * master[pairs[k], c, a]
-                functions[6 * k + d, a] = total
+                functions[k, d, a] = total
             total = 0.0
             for c in range(16):
                 total += here[0, c] * slave[pairs[k], c, a]
-            functions[6 * k, a] = total - functions[6 * k, a]
+            functions[k, 0, a] = total - functions[k, 0, a]
 
 
 @dataclass(frozen=True)
@@ -425,24 +412,41 @@ class Patches:
 
 @dataclass(frozen=True)
 class Projection:
-    """Where points lie in front of a master.
+    """Where points lie before the body of a master.
 
     Attributes
     ----------
-    host : (n,) int array
-        Patch of the master, -1 where none faces the point.
-    xi : (n, 2) array
-        Place on it.
-    gap : (n,) array
-        Signed distance in mm, negative where the point is inside the master's body.
-    outside : (n,) array
-        How far the place is outside its patch, in local coordinates.
+    host : (n, 2) int array
+        The patch that is nearest to the surface of the body, and the one that is blended with it;
+        -1 where there is none.
+    xi : (n, 2, 2) array
+        Places on these.
+    distance : (n,) array
+        To the rounded body in mm, negative inside; infinite where nothing faces the point.
     """
 
     host: IntArray
     xi: Array
-    gap: Array
-    outside: Array
+    distance: Array
+
+
+def blended(first: Any, second: Any) -> tuple[Any, Any]:
+    """Return the greater of two distances (n,), rounded where they are nearly alike.
+
+    With the difference ``δ`` and ``r`` = `EDGE` it is ``(a + b)/2 + δ²/4r + r/4``, which for
+    ``|δ| = r`` is the greater one, with its slope.
+
+    Returns
+    -------
+    distance : (n,) array
+    share : (n,) array
+        Its derivative by the first; that by the second is the rest to 1.
+    """
+    apart = np.clip(first - second, -EDGE, EDGE)
+    distance = 0.5 * (first + second) + apart**2 / (4.0 * EDGE) + 0.25 * EDGE
+    return np.where(abs(first - second) < EDGE, distance, np.maximum(first, second)), (
+        0.5 + 0.5 * apart / EDGE
+    )
 
 
 def segments(slave: Patches, master: Patches, n: int = 4) -> tuple[IntArray, Array, Array]:
@@ -529,8 +533,8 @@ class Facing:
 
     Attributes
     ----------
-    share : (n,) array
-        Of the force on each point, less than 1 beyond the borders of what pushes it.
+    least : (n,) array
+        Distance (mm) from which on a point is pushed: 0, or less where it is deeper at rest.
     """
 
     def __init__(self, slave: Patches, master: Patches, patches: ArrayLike, xi: ArrayLike) -> None:
@@ -551,22 +555,27 @@ class Facing:
         for row, may in enumerate(self.allowed):
             table[row, : may.sum()] = np.flatnonzero(may)
         self._candidates = np.ascontiguousarray(table[self.patches])
-        self.least = np.zeros(len(self.patches))
-        self.settle(rest)
-        self.least = np.minimum(self.project(rest).gap, 0.0)
-        self.settle(rest)
+        parts = master.part[:, None] != master.part
+        #: Which patches of the master end its body along one edge, (masters, masters).
+        self.adjacent = master.neighbours() & parts
+        self._known: tuple[Array, Projection] | None = None
+        self.least = np.minimum(self.project(rest).distance, 0.0)
 
     def points(self, parameters: Array) -> Array:
         """Return the points of the slave (n, 3)."""
         return np.asarray(self.functions @ parameters)
 
-    def _all(self, parameters: Array) -> Projection:
-        """Project the points onto every part of the master; arrays are (n, parts)."""
+    def project(self, parameters: Array) -> Projection:
+        """Find the closest points of the sides that end the body next to each point."""
+        if self._known is None or not np.array_equal(self._known[0], parameters):
+            self._known = parameters.copy(), self._project(parameters)
+        return self._known[1]
+
+    def _project(self, parameters: Array) -> Projection:
         master = self.master
-        shape = len(self.patches), int(master.part.max()) + 1
-        out = Projection(
-            np.empty(shape, np.int64), np.empty((*shape, 2)), np.empty(shape), np.empty(shape)
-        )
+        n, parts = len(self.patches), int(master.part.max()) + 1
+        host, xi = np.empty((n, parts), np.int64), np.empty((n, parts, 2))
+        gap, outside = np.empty((n, parts)), np.empty((n, parts))
         project(
             parameters,
             master.pattern.params,
@@ -577,36 +586,29 @@ class Facing:
             np.ascontiguousarray(self.points(parameters)),
             self._candidates,
             BEYOND,
-            out.host,
-            out.xi,
-            out.gap,
-            out.outside,
+            host,
+            xi,
+            gap,
+            outside,
         )
-        return out
-
-    def settle(self, parameters: Array) -> None:
-        """Decide which part of the master pushes each point out of its body, and how much.
-
-        It is the master itself for all that lie above it or hardly below, else the flank that
-        they lie before, or are least behind. Points before any other part are outside the body.
-        """
-        found = self._all(parameters)
-        gap = np.where(found.host >= 0, found.gap, -np.inf)
-        self._part = np.where(gap[:, 0] > -SETTLED, 0, np.argmax(gap, axis=1))
-        each = np.arange(len(gap))
-        outside = found.outside[each, self._part]
-        deeper = self.least - found.gap[each, self._part]
-        gap[each, self._part] = -np.inf
-        behind = np.clip(-gap.max(axis=1) / EDGE, 0.0, 1.0)
-        # From two thirds of the way to the far side on.
-        through = 3.0 * deeper / np.where(outside > 0.0, SHALLOW, DEEPEST)
-        self.share = behind * np.clip(3.0 - through, 0.0, 1.0) * np.maximum(1 - outside / FADE, 0.0)
-
-    def project(self, parameters: Array) -> Projection:
-        """Find the closest point of the part of the master that pushes each point out."""
-        found = self._all(parameters)
-        each = np.arange(len(self.patches))
-        return Projection(*(values[each, self._part] for values in vars(found).values()))
+        each = np.arange(n)[:, None]
+        # Flanks that do not face a point are far away: on this side of it where it is beyond the
+        # master's border, else on the other.
+        if parts > 1:
+            host[(outside[:, 0] > ROOM) & (host[:, 1:] < 0).all(axis=1), 0] = -1
+        gap = np.where(host >= 0, gap, -np.inf)
+        order = np.argsort(-gap, axis=1, kind="stable")[:, :2]
+        faces = host[:, :1] >= 0
+        gap, host, xi = gap[each, order], np.where(faces, host[each, order], -1), xi[each, order]
+        distance = np.where(host[:, 0] >= 0, gap[:, 0], np.inf)
+        if parts == 1:
+            host = np.insert(host, 1, -1, axis=1)
+        else:
+            near = (host[:, 1] >= 0) & (gap[:, 1] > gap[:, 0] - EDGE)
+            near[near] = self.adjacent[host[near, 0], host[near, 1]]
+            distance[near] = blended(gap[near, 0], gap[near, 1])[0]
+            host[~near, 1] = -1
+        return Projection(host, xi, distance)
 
 
 class Immersion:
@@ -658,52 +660,81 @@ class Immersion:
         return np.maximum(self._depth(parameters) - self.least, 0.0)
 
 
-class Pairs:
-    """The parameters that meeting patches share, and the functionals of points on them.
+class Meetings:
+    """Patches that may meet, the parameters that they share, and the functionals of points there.
 
     Parameters
     ----------
     facing : Facing
+    slaves : (g,) int array
+        Patch of the slave in every meeting.
+    masters : (g, c) int array
+        Patches of the master in it, in ascending order.
     """
 
-    def __init__(self, facing: Facing) -> None:
+    def __init__(self, facing: Facing, slaves: IntArray, masters: IntArray) -> None:
         self.facing = facing
-        slaves, masters = np.nonzero(facing.allowed)
-        self._number = np.full(facing.allowed.shape, -1)
-        self._number[slaves, masters] = np.arange(len(slaves))
-        local = np.arange(16)
+        count = len(slaves)
+        sides = [(facing.slave, slaves), *((facing.master, column) for column in masters.T)]
         rows = sp.csr_matrix(
             sp.vstack(
                 [
-                    facing.slave.surface.extraction[(slaves[:, None] * 16 + local).ravel()],
-                    facing.master.surface.extraction[(masters[:, None] * 16 + local).ravel()],
+                    side.surface.extraction[(16 * patches[:, None] + np.arange(16)).ravel()]
+                    for side, patches in sides
                 ]
             )
         )
-        hosts = np.tile(np.repeat(np.arange(len(slaves)), 16), 2)
-        self.pattern = Pattern.from_functions(rows, hosts, len(slaves))
+        hosts = np.tile(np.repeat(np.arange(count), 16), len(sides))
+        self.pattern = Pattern.from_functions(rows, hosts, count)
         dense = self.pattern.dense(rows, hosts)
-        self._slave, self._master = np.ascontiguousarray(
-            dense.reshape(2, len(slaves), 16, dense.shape[1])
-        )
+        self._local = np.ascontiguousarray(dense.reshape(len(sides), count, 16, dense.shape[1]))
+        shape = (facing.allowed.shape[0], *[facing.allowed.shape[1]] * masters.shape[1])
+        self._number = np.full(shape, -1)
+        self._number[(slaves, *masters.T)] = np.arange(count)
 
-    def functionals(self, found: Projection) -> tuple[Array, IntArray, IntArray]:
-        """Return the functionals of the points that face the master.
+    @classmethod
+    def sides(cls, facing: Facing) -> Meetings:
+        """Return the meetings of a patch of the slave with one of the master."""
+        slaves, masters = np.nonzero(facing.allowed)
+        return cls(facing, slaves, masters[:, None])
+
+    @classmethod
+    def edges(cls, facing: Facing) -> Meetings:
+        """Return the meetings of a patch of the slave with two of the master that share an edge."""
+        both = facing.allowed[:, :, None] & facing.allowed[:, None, :] & np.triu(facing.adjacent)
+        slaves, *masters = np.nonzero(both)
+        return cls(facing, slaves, np.stack(masters, axis=1))
+
+    def functionals(
+        self, points: IntArray, hosts: IntArray, xi: Array
+    ) -> tuple[Array, IntArray, IntArray]:
+        """Return the functionals of some points that face the master.
+
+        Parameters
+        ----------
+        points : (k,) int array
+        hosts : (k, c) int array
+            Patches of the master that each of them faces, in ascending order.
+        xi : (k, c, 2) array
+            Where.
 
         Returns
         -------
-        functions : (6 k, m) array
-            See `relate`.
-        starts : (pairs + 1,) int array
-            Rows of each pair.
+        functions : (6 c k, m) array
+            See `relate`; of one point for one patch after the other.
+        starts : (g + 1,) int array
+            Rows of each meeting.
         order : (k,) int array
-            The points, sorted by their pair.
+            Places in ``points``, sorted by their meeting.
         """
-        points = np.flatnonzero(found.host >= 0)
-        pairs = self._number[self.facing.patches[points], found.host[points]]
-        by_pair = np.argsort(pairs, kind="stable")
-        order, pairs = points[by_pair], pairs[by_pair]
-        functions = np.empty((6 * len(order), self.pattern.params.shape[1]))
-        relate(self.facing.xi, found.xi, order, pairs, self._slave, self._master, functions)
-        counts = np.bincount(pairs, minlength=len(self.pattern.params))
-        return functions, 6 * np.concatenate([[0], np.cumsum(counts)]), order
+        number = self._number[(self.facing.patches[points], *hosts.T)]
+        order = np.argsort(number, kind="stable")
+        number, at = number[order], self.facing.xi[points[order]]
+        count = hosts.shape[1]
+        functions = np.empty((len(order), 6 * count, self.pattern.params.shape[1]))
+        for k in range(count):
+            part = functions[:, 6 * k : 6 * k + 6]
+            relate(at, xi[order, k], number, self._local[0], self._local[1 + k], part)
+        counts = np.bincount(number, minlength=len(self._local[0]))
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        return functions.reshape(-1, functions.shape[2]), 6 * count * starts, order

@@ -535,11 +535,6 @@ class Problem:
                     out[self.assembly.equations[free], k] += forces[free]
         return out
 
-    def update(self, parameters: Array) -> None:
-        """Let the terms refresh what they keep fixed within a load step."""
-        for term in self.terms:
-            term.update(parameters)
-
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest interpenetration of any contact in mm."""
         return max((term.penetration(parameters, load) for term in self.terms), default=0.0)

@@ -171,9 +171,6 @@ class PointTerm(ABC):
         leads Newton's method astray.
         """
 
-    def update(self, parameters: Array) -> None:  # noqa: B027
-        """Refresh what is kept fixed within a load step from converged parameters."""
-
     def augmented(self, parameters: Array, load: Load) -> Array | None:
         """Return the `Load.offsets` that would keep the present forces without overlap."""
         return None

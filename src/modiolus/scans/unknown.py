@@ -229,7 +229,6 @@ class Driven:
         slopes[:, self._muscles] = path.problem.activation_slopes(
             state.parameters, names, state.load
         )
-        path.problem.update(state.parameters)
         for j in sorted({*range(k)} - {*self._muscles}):
             step = _STEP * self.unknowns[j].scale
             for sign in (1.0, -1.0):
