@@ -130,8 +130,7 @@ def test_heads_are_compared_part_by_part(taro):
     kinds = {item.kind for item in found.values()}
     assert kinds == {"tissue", "muscle", "deep", "field", "attachment", "insertion", "sheet"}
     for item in found.values():
-        # A surface is drawn by triangles: it is no nearer to its own distances than that.
-        assert item.greatest < (0.15 if item.kind == "deep" else 1e-12)
+        assert item.greatest < 1e-12
 
 
 @needs_anatomy

@@ -24,9 +24,9 @@ class Difference:
     ----------
     part : str
     kind : str
-        ``tissue``, ``muscle``, ``deep``, ``field``, ``attachment`` or ``insertion``.
+        ``tissue``, ``muscle``, ``deep``, ``field``, ``attachment``, ``insertion`` or ``sheet``.
     greatest, rms : float
-        In `unit`; infinite where only one of the heads has the part.
+        In `unit`; infinite where only one of the heads has the part there.
     unit : str
         ``mm``; for fields ``1``; for springs ``share``: the stiffness that is in other elements
         or of another size, relative to that of the first head.
@@ -96,11 +96,13 @@ def _off(one: DistanceGrid, other: DistanceGrid) -> Array:
         [(points > g.bounds[0] + rim) & (points < g.bounds[1] - rim) for g in (one, other)],
         axis=(0, 2),
     )
-    return other.sample(points[within]).distance
+    # The vertices lie on the surface as nearly as lines between the points of the grid tell.
+    points = points[within]
+    return np.asarray(other.sample(points).distance - one.sample(points).distance)
 
 
 def _measured(part: str, kind: str, gap: Array, unit: str) -> Difference:
-    size = np.abs(gap)
+    size = np.abs(gap) if len(gap) else np.array([np.inf])
     return Difference(part, kind, float(size.max()), float(np.sqrt(np.mean(size**2))), unit)
 
 
