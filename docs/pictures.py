@@ -17,13 +17,12 @@ from modiolus.view.muscles import draw_muscles
 IMAGES = Path(__file__).parent / "images"
 
 
-def _draw_states(
-    scene: FaceScene, rest: np.ndarray, states: list[tuple[str, np.ndarray, float]], path: Path
-) -> None:
+def _draw_states(scene: FaceScene, states: list[tuple[str, np.ndarray, float]], path: Path) -> None:
     """Draw states (title, parameters, jaw) beside each other, from the front and the side."""
+    shown = [moved for _, moved, _ in states]
     panels = [
         Panel(
-            face_camera(scene, rest, view),
+            face_camera(scene, shown, view),
             scene.shapes(moved, jaw=jaw),
             title=title if view == "front" else "",
         )
@@ -36,20 +35,18 @@ def _draw_states(
 def draw_expressions(head: Head, names: list[str]) -> None:
     """Draw the face at rest and in expressions, from the front and from the side."""
     runner = Runner(head)
-    rest = head.tissue.parameters
-    states = [("at rest", rest, 0.0)]
+    states = [("at rest", head.tissue.parameters, 0.0)]
     for name in names:
         expression = Expression.shipped(name)
         activations = resolve(expression.activations, head.muscles)
         state = runner.solve(name, activations, opening(expression.jaw_open))
         states.append((expression.title, state.parameters, state.load.jaw))
-    _draw_states(runner.scene, rest, states, IMAGES / "expressions.png")
+    _draw_states(runner.scene, states, IMAGES / "expressions.png")
 
 
 def draw_sides_and_jaw(head: Head) -> None:
     """Draw faces that differ left and right, and faces with the jaw open."""
     runner = Runner(head)
-    rest = head.tissue.parameters
     states = []
     for name, title, palsy, degrees in (
         ("wink", "Wink", "", 0.0),
@@ -61,7 +58,7 @@ def draw_sides_and_jaw(head: Head) -> None:
         activations = resolve(Expression.shipped(name).activations, head.muscles, palsy)
         state = runner.solve(name, activations, opening(degrees))
         states.append((title, state.parameters, state.load.jaw))
-    _draw_states(runner.scene, rest, states, IMAGES / "sides-and-jaw.png")
+    _draw_states(runner.scene, states, IMAGES / "sides-and-jaw.png")
 
 
 def draw_layout(head: Head) -> None:

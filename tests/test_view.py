@@ -167,7 +167,7 @@ def test_looks_stand_beside_each_other_in_every_view():
 
     scale = Scale("mm", 0.0, 1.0)
     looks = [("plain", [ball()], None), ("painted", [ball()], scale)]
-    front, side = face_panels(Ball(), np.zeros((1, 3)), looks, zoom=2.0)
+    front, side = face_panels(Ball(), [np.zeros((1, 3))], looks, zoom=2.0)
     assert [panel.title for panel in front] == ["plain, front", "painted, front"]
     assert [panel.scale for panel in [*front, *side]] == [None, None, None, scale]
     assert front[0].camera.azimuth == 0.0 and side[0].camera.azimuth > 0.0

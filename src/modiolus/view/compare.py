@@ -68,7 +68,9 @@ def draw_comparison(
         *((name, [painted(values)], scale) for name, values in maps),
     ]
     panels = []
-    for row, (name, values) in zip(face_panels(scene, rest, looks, 1.15), maps, strict=True):
+    for row, (name, values) in zip(
+        face_panels(scene, [rest, moved], looks, 1.15), maps, strict=True
+    ):
         known = measure.of(values, everywhere)
         chart = histogram(
             values[measure.covered],

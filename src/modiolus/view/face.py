@@ -22,14 +22,14 @@ __all__ = ["VIEWS", "draw_catalogue", "draw_face", "face_camera", "face_panels"]
 VIEWS = {"front": (0.0, 2.0), "three-quarter": (38.0, 4.0)}
 
 
-def face_camera(scene: FaceScene, rest: Array, view: str, zoom: float = 1.0) -> Camera:
-    """Return a camera that takes in the whole face.
+def face_camera(scene: FaceScene, states: Sequence[Array], view: str, zoom: float = 1.0) -> Camera:
+    """Return a camera that takes in the whole face in all of some states.
 
     Parameters
     ----------
     scene : FaceScene
-    rest : (n_params, 3) array
-        Parameters of the tissue at rest.
+    states : sequence of (n_params, 3) arrays
+        Parameters of the tissue.
     view : str
         One of `VIEWS`.
     zoom : float
@@ -37,7 +37,7 @@ def face_camera(scene: FaceScene, rest: Array, view: str, zoom: float = 1.0) -> 
     """
     azimuth, elevation = VIEWS[view]
     axes = Camera((0.0, 0.0, 0.0), 1.0, azimuth, elevation).axes()
-    seen = scene.skin_points(rest) @ axes.T
+    seen = np.concatenate([scene.skin_points(state) for state in states]) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     x, y, z = 0.5 * (low + high) @ axes
     return Camera((x, y, z), 1.08 * float(high[1] - low[1]) / zoom, azimuth, elevation)
@@ -45,7 +45,7 @@ def face_camera(scene: FaceScene, rest: Array, view: str, zoom: float = 1.0) -> 
 
 def face_panels(
     scene: FaceScene,
-    rest: Array,
+    states: Sequence[Array],
     looks: Sequence[tuple[str, list[Shape], Scale | None]],
     zoom: float = 1.0,
 ) -> list[list[Panel]]:
@@ -53,7 +53,7 @@ def face_panels(
 
     Parameters
     ----------
-    scene, rest, zoom
+    scene, states, zoom
         As in `face_camera`.
     looks : sequence of (title, shapes, scale)
         The scale is drawn in the last row.
@@ -62,7 +62,7 @@ def face_panels(
     return [
         [
             Panel(
-                face_camera(scene, rest, view, zoom),
+                face_camera(scene, states, view, zoom),
                 shapes,
                 title=f"{title}, {view}",
                 scale=scale if view == last else None,
@@ -105,7 +105,7 @@ def draw_face(
         (titles[1], scene.shapes(moved, jaw=jaw), None),
         ("displacement", scene.shapes(moved, scale.colours(distance), jaw), scale),
     ]
-    panels = [panel for row in face_panels(scene, rest, looks) for panel in row]
+    panels = [panel for row in face_panels(scene, [rest, moved], looks) for panel in row]
     figure(panels, path, columns=3, panel_size=(480, 560), heading=heading)
 
 
@@ -139,7 +139,7 @@ def draw_catalogue(
         raise InputError("states: there are none to draw; give at least one")
     distances = [scene.displacement(moved) for _, _, moved in states]
     scale = Scale("displacement (mm)", 0.0, _round_up(float(np.max(distances))))
-    camera = face_camera(scene, rest, "front", zoom=1.2)
+    camera = face_camera(scene, [rest], "front", zoom=1.2)
     panels = []
     for (title, note, moved), distance in zip(states, distances, strict=True):
         # The skin keeps its colour where it hardly moves, and shows through elsewhere.
