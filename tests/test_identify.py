@@ -178,9 +178,9 @@ def test_a_sequence_is_smoothed_and_frames_that_fail_are_told(block_head):
     own, even = (np.array([found[k][1].values["strap"] for k in met]) for found in (alone, steady))
     assert np.ptp(even) < 0.5 * np.ptp(own)
     assert np.abs(even - 0.3).max() < np.abs(own - 0.3).max()
-    # What is returned is the face at these values.
+    # What is returned is the face at these values: its nodes, in mm.
     again = face.solve({"strap": even[2]}).parameters
-    assert np.abs(again - steady[3][1].state.parameters).max() < 0.02
+    assert np.abs(again - steady[3][1].state.parameters)[::8].max() < 0.01
 
 
 def objective(driven, target, unknown, path, values):
