@@ -199,6 +199,11 @@ class DistanceGrid:
         ----------
         points : (n, 3) array
             Query points (mm).
+
+        Raises
+        ------
+        ValueError
+            The points have another shape.
         """
         queries = np.ascontiguousarray(points, dtype=np.float64)
         if queries.ndim != 2 or queries.shape[1] != 3:

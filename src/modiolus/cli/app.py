@@ -68,7 +68,24 @@ def show(record: Mapping[str, Any], text: str, as_json: bool, quiet: bool) -> No
 def assignments(
     option: str, texts: Sequence[str], example: str, kind: Callable[[str], type]
 ) -> dict[str, Any]:
-    """Return what an option like ``name=value`` says, each value of the kind that its name has."""
+    """Return what an option like ``name=value`` says.
+
+    Parameters
+    ----------
+    option : str
+        Its name, for messages.
+    texts : sequence of str
+        What was given.
+    example : str
+        A sound one.
+    kind : callable
+        The type of a name's value; raises `InputError` where there is no such name.
+
+    Raises
+    ------
+    InputError
+        A text has no name, or no value of that type.
+    """
     found = {}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -84,7 +101,13 @@ def assignments(
 
 
 def face_settings(texts: Sequence[str]) -> FaceSettings:
-    """Return the parameters of the face, some of them as `Setting` says."""
+    """Return the parameters of the face, some of them as `Setting` says.
+
+    Raises
+    ------
+    InputError
+        There is no such parameter, or it cannot have that value.
+    """
     from modiolus.mechanics.face import FaceSettings
 
     usual = {item.name: item.default for item in fields(FaceSettings)}

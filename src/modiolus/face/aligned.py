@@ -51,6 +51,14 @@ def align(
 ) -> Aligned:
     """Bring a surface into the frame of a head, each in its own size.
 
+    Parameters
+    ----------
+    head : Head
+    surface : Surface
+        Skin in mm, cm or m, in any pose.
+    landmarks : ((n, 3) array, (n, 3) array), optional
+        Matched points of the surface, in its own frame, and of the head.
+
     Raises
     ------
     InputError

@@ -176,6 +176,14 @@ def tissue_quality(tissue: Tissue, sheet: Surface, deep: dict[str, DistanceGrid]
 
     The skin's fit leaves out the margins of lips and lids, the wings and base of the nose and
     the last column before the ear.
+
+    Parameters
+    ----------
+    tissue : Tissue
+    sheet : Surface
+        Outer sheet of the skin, see `outer_sheet`.
+    deep : dict of DistanceGrid
+        Deep structures by name.
     """
     mesh = tissue.mesh
     elements, xi, _ = mesh.gauss_points(4)

@@ -134,6 +134,14 @@ def margin_targets(skin: SkinPlaces, mesh: HermiteMesh, margins: Margins) -> lis
 
     A margin is matched by its share of the way across: from the mid-plane to the corner of the
     mouth, and from corner to corner of the eye.
+
+    Parameters
+    ----------
+    skin : SkinPlaces
+    mesh : HermiteMesh
+        Tissue of the head.
+    margins : Margins
+        Of the scan, in the head's frame.
     """
     out = []
     lines = {
@@ -203,7 +211,20 @@ def _reaches(count: int) -> Array:
 def deformed(
     head: Head, host: Host, skin: SkinPlaces, scans: list[Matcher], margins: Margins
 ) -> Host:
-    """Deform the host until the skin of the head lies on the scan."""
+    """Deform the host until the skin of the head lies on the scan.
+
+    Parameters
+    ----------
+    head : Head
+    host : Host
+        The box around it.
+    skin : SkinPlaces
+        Places of the head's skin.
+    scans : list of Matcher
+        The scan, and its mirror image.
+    margins : Margins
+        Of the scan.
+    """
     held = symmetry_plane(
         host.mesh, np.flatnonzero(np.arange(host.mesh.n_elements) % HOST[0] == 0), 0, 0
     )
@@ -250,6 +271,16 @@ def fitted(
 
     An element that would fold, where a scan is faulty or the closest point is not the right one,
     keeps for the moment the shape that it has come to.
+
+    Parameters
+    ----------
+    head : Head
+    start : HermiteMesh
+        The tissue as the host has left it.
+    skin, scans
+        As in `deformed`.
+    margins : list of PointTarget
+        See `margin_targets`.
     """
     held = symmetry_plane(head.tissue, *head.sides["midplane"])
     mesh, stiffness = start, np.ones(start.n_elements)

@@ -25,7 +25,22 @@ _ESCAPING = 0.3
 def morph_quality(
     head: Head, morphed: Head, aligned: Aligned, margins: list[PointTarget]
 ) -> dict[str, Any]:
-    """Measure a morphed head against the scan and against the head that it was made from."""
+    """Measure a morphed head against the scan and against the head that it was made from.
+
+    Parameters
+    ----------
+    head, morphed : Head
+        Before and after.
+    aligned : Aligned
+        The scan.
+    margins : list of PointTarget
+        Margins of lips and lids as `modiolus.face.deform.margin_targets` found them.
+
+    Returns
+    -------
+    dict
+        Figures by the names that `gates` knows, and more.
+    """
     mesh = morphed.tissue
     elements, xi, _ = mesh.gauss_points(4)
     error = scan_error(morphed, aligned.surface)

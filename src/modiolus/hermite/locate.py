@@ -175,10 +175,17 @@ def _closest_all(  # type: ignore[no-untyped-def]
 
 
 def locate(mesh: HermiteMesh, points: ArrayLike, candidates: int = 6) -> Location:
-    """Find the closest point of ``mesh`` for each of ``points`` (n, 3) in mm.
+    """Find the closest point of a mesh for each of some points.
 
-    The closest of a set of sample points of each element start a projected Gauss-Newton
-    search in ``candidates`` different elements at most.
+    The closest of a set of sample points of each element start a projected Gauss-Newton search.
+
+    Parameters
+    ----------
+    mesh : HermiteMesh
+    points : (n, 3) array
+        In mm.
+    candidates : int
+        Greatest number of elements that are searched for a point.
 
     Raises
     ------

@@ -449,9 +449,19 @@ class Problem:
         tangent: bool = False,
         convex: bool = False,
     ) -> Evaluation:
-        """Integrate every term; with ``tangent`` the element tangents are renewed too.
+        """Integrate every term.
 
-        With ``convex`` the tangent leaves out what can make contacts and fibres unstable.
+        Parameters
+        ----------
+        parameters : (n_params, 3) array
+            Of the deformed mesh (mm).
+        pressure : (n_vertices,) array
+            In kPa.
+        load : Load
+        tangent : bool
+            Whether the element tangents are renewed too.
+        convex : bool
+            Whether the tangent leaves out what can make contacts and fibres unstable.
         """
         base = self.assembly.groups[0]
         self.assembly.clear(tangents=tangent)

@@ -214,6 +214,11 @@ def align_to_neutral(
     skin : Skin
     neutral_pose : Registration
         Of the neutral scan on the head at rest; the expression has its unit and size.
+
+    Raises
+    ------
+    InputError
+        The scan shows no face, or is mirrored against the neutral one.
     """
     placed = neutral.placed(neutral_pose)
     start = None
