@@ -270,6 +270,24 @@ def test_a_muscle_alone_does_what_anatomy_says(head, solve, name):
 
 
 @pytest.mark.slow
+def test_platysma_draws_the_skin_of_the_neck_out(head, solve):
+    """Taut, it spans the hollow between chest and jaw (Gray, 42nd edition, "Neck")."""
+    state = solve({"platysma": ALONE[head.muscles["platysma"].kind]})
+    elements, xi, areas = face_points(head.tissue, *head.sides["outer"])
+    tangents = head.tissue.jacobian(elements, xi)
+    normals = np.cross(tangents[:, :, 0], tangents[:, :, 1])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    rest = head.tissue.evaluate(elements, xi)
+    out = ((state.mesh.evaluate(elements, xi) - rest) * normals).sum(axis=1)
+    side = (rest[:, 2] < 1430.0) & (rest[:, 0] > 15.0)
+    assert 2.0 < np.average(out[side], weights=areas[side]) < 10.0
+    # The cut through the neck moves in its plane.
+    elements, xi, _ = face_points(head.tissue, *head.sides["neck"])
+    gone = state.mesh.evaluate(elements, xi) - head.tissue.evaluate(elements, xi)
+    assert np.abs(gone[:, 2]).max() < 1e-6 < 1.0 < np.abs(gone[:, :2]).max()
+
+
+@pytest.mark.slow
 @pytest.mark.xfail(reason="see ASTRAY", strict=True)
 @pytest.mark.parametrize("name", ASTRAY)
 def test_what_goes_astray(head, solve, name):

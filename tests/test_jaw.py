@@ -119,12 +119,15 @@ def test_an_open_jaw_carries_the_lower_tissue_and_leaves_the_upper(block_head):
     assert np.linalg.norm(carried - rest["chin"]) > 2.0
     assert np.linalg.norm(moved["chin"] - carried) < 0.5
     assert np.linalg.norm(moved["brow"] - rest["brow"]) < 0.2
-    # The cuts follow by their share, and the mouth has opened.
+    # The cut through the neck follows by its share, in its plane as far as what lies beyond lets
+    # it, and the mouth has opened.
     elements, axis, side = block_head.sides["neck"]
     xi = np.insert(RNG.uniform(size=(len(elements), 2)), axis, side, axis=1)
     cut = problem.mesh.evaluate(elements, xi)
     expected = block_head.jaw.displacement(cut, angle, block_head.jaw.share(cut))
-    assert_allclose(state.mesh.evaluate(elements, xi) - cut, expected, atol=0.05)
+    gone = state.mesh.evaluate(elements, xi) - cut
+    assert_allclose(gone[:, 2], expected[:, 2], atol=0.05)
+    assert_allclose(gone, expected, atol=0.1)
     assert state.mesh.evaluate([4], [(0.0, 0.0, 1.0)])[0, 2] - moved["corner_left"][2] > 1.0
 
 

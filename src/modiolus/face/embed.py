@@ -22,7 +22,7 @@ from ..hermite.basis import Array, smooth_step
 from ..hermite.tessellate import tessellate
 from .head import Attachment
 from .muscle import Muscle
-from .template import COLUMNS, FOLD_COLUMN
+from .template import COLUMNS, FOLD_COLUMN, JAW_ROW
 from .tissue import Side
 
 #: Stretch from which passive fibres are taut. The muscles of a resting face are not: a mouth
@@ -66,6 +66,10 @@ ORIGINS: dict[str, tuple[float, float]] = {
 #: and orbicularis oculi, SMAS and skin slide over their origins: held there, the one layer of the
 #: mesh could follow no other muscle.
 GLIDE = 0.85
+#: Those that do not: platysma lies in the superficial fascia, which joins it to the skin all along,
+#: and slides with the skin over the deep fascia (Gray's Anatomy, "Neck"). Where its way from the
+#: chest to the jaw is hollow it draws the skin out when it is taut.
+SUPERFICIAL = ("platysma",)
 
 #: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
 #: above it.
@@ -130,7 +134,7 @@ def bring_inside(muscle: Muscle, tissue: HermiteMesh, above: float = -np.inf) ->
         muscle,
         mesh=moved,
         slack=TAUT.get(muscle.name, SLACK),
-        glide=GLIDE if muscle.name in INSERTIONS else 0.0,
+        glide=GLIDE if muscle.name in INSERTIONS and muscle.name not in SUPERFICIAL else 0.0,
     )
 
 
@@ -355,12 +359,15 @@ TRAGUS = (66.0, -107.0, 1514.0)
 
 
 #: Deep fasciae over what the head has no surface for: rows and columns of the template, and the
-#: stiffness (kPa/mm) with which the inner surface is tied to them. Below the jaw it is the
-#: investing fascia of the neck's muscles, beside the forehead that of temporalis. Along its edge,
+#: stiffness (kPa/mm) with which the inner surface is tied to them. In front of the neck that is
+#: what lies on hyoid and larynx; at its side skin and platysma lie loosely on the investing fascia
+#: of the neck's muscles, with about the stiffness in shear of 6 mm of fat. Beside the forehead it
+#: is the fascia of temporalis. Along its edge,
 #: the temporal line, the layer is fixed to bone as well (Moss, Mendelson and Taylor 2000, Plast.
 #: Reconstr. Surg. 105:1475-1490), which keeps frontalis from lifting the tail of the brow far.
 FASCIAE: dict[str, tuple[tuple[int, int], tuple[int, int], float]] = {
-    "deep_cervical_fascia": ((0, 3), (0, COLUMNS), 2.0),
+    "infrahyoid_fascia": ((0, JAW_ROW), (0, 4), 2.0),
+    "deep_cervical_fascia": ((0, JAW_ROW), (4, COLUMNS), 0.15),
     "temporal_fascia": ((13, 20), (8, COLUMNS), 1.0),
     "superior_temporal_septum": ((15, 20), (7, 8), 1.0),
 }

@@ -27,6 +27,8 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 COLUMNS, ROWS = 12, 21
 #: Row of the mouth's slit and its last column (the commissure).
 MOUTH_ROW, COMMISSURE = 7, 4
+#: Row of the border of the jaw: what lies below belongs to the neck.
+JAW_ROW = 3
 #: Row of the eye's slit, columns of its canthi.
 EYE_ROW, MEDIAL_CANTHUS, LATERAL_CANTHUS = 14, 3, 7
 #: Row along the brow, and column of the nasolabial fold.

@@ -28,6 +28,7 @@ from .template import (
     COMMISSURE,
     EYE,
     EYE_ROW,
+    JAW_ROW,
     LATERAL_CANTHUS,
     LIDS,
     MEDIAL_CANTHUS,
@@ -106,8 +107,8 @@ class Tissue:
     mesh : HermiteMesh
         Tricubic, xi1 lateral, xi2 up, xi3 outward; element ``row * COLUMNS + column``.
     sides : dict of (elements, axis, side)
-        ``outer``, ``inner``, ``midplane``, ``ear``, ``neck``, ``scalp``, ``lip_upper``,
-        ``lip_lower``, ``lid_upper``, ``lid_lower``.
+        ``outer``, ``inner``, ``midplane``, ``lip_upper``, ``lip_lower``, ``lid_upper``,
+        ``lid_lower``; and the cuts, ``ear``, ``scalp``, ``neck`` across and ``neck_back`` behind.
     landmarks : dict of (element, xi (3,))
         Named places of the left half.
     """
@@ -475,8 +476,9 @@ def _sides() -> dict[str, Side]:
         "outer": (every, 2, 1),
         "inner": (every, 2, 0),
         "midplane": (every[column == 0], 0, 0),
-        "ear": (every[column == COLUMNS - 1], 0, 1),
+        "ear": (every[(column == COLUMNS - 1) & (row >= JAW_ROW)], 0, 1),
         "neck": (every[row == 0], 1, 0),
+        "neck_back": (every[(column == COLUMNS - 1) & (row < JAW_ROW)], 0, 1),
         "scalp": (every[row == ROWS - 1], 1, 1),
         "lip_upper": (every[mouth & (row == MOUTH_ROW)], 1, 0),
         "lip_lower": (every[mouth & (row == MOUTH_ROW - 1)], 1, 1),

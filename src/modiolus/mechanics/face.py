@@ -125,6 +125,11 @@ VESTIBULE = 6.0
 #: these distances (mm) of cartilage and within the second of the mid-plane is tied to its place
 #: with the stiffness (kPa/mm) that gives the tip of the nose its measured resistance.
 SEPTUM, SEPTUM_STIFFNESS = (1.0, 2.5), 3.0
+#: Beyond the cuts through the neck the tissue goes on, and platysma in it, which pulls from there
+#: as much as from here. So they stay at their height, and move in their plane against the shear of
+#: what lies beyond (kPa/mm): sqrt(G k / h) for a layer of thickness h = 10 mm and a shear modulus
+#: G = 2.8 kPa, held on its way by k = 0.15 kPa/mm (`embed.FASCIAE`).
+NECK_STIFFNESS = 0.2
 
 
 class Face:
@@ -300,8 +305,10 @@ def face_problem(
     fixed = np.zeros((mesh.n_params, 3), dtype=bool)
     if head.half is None:
         fixed |= symmetry_plane(mesh, *head.sides["midplane"])
-    for _, cut in cuts(head):
-        fixed |= clamp(mesh, *cut)
+    for name, cut in cuts(head):
+        held = clamp(mesh, *cut)
+        held[:, :2] &= not _in_neck(name)
+        fixed |= held
     acting: list[PointTerm] = [*terms, *fibres(head, settings, measured), *_springs(head, measured)]
     acting += [
         Sheet(mesh, item.elements, item.xi, item.stiffness, name)
@@ -387,6 +394,11 @@ def cuts(head: Head) -> Iterator[tuple[str, Side]]:
     for name, side in head.sides.items():
         if name.partition("_")[0] in ("ear", "neck", "scalp"):
             yield name, side
+
+
+def _in_neck(cut: str) -> bool:
+    """Tell whether a cut of `cuts` goes through the neck."""
+    return cut.partition("_")[0] == "neck"
 
 
 def face_load(
@@ -516,18 +528,17 @@ def _springs(head: Head, measured: Head | None) -> Iterator[Springs]:
         share = jaw.share(rest)
         return lambda load: np.asarray(rest + jaw.displacement(rest, load.jaw, share))
 
+    carried = None if head.jaw is None else carry
     for item in head.attachments.values():
-        yield Springs(
-            head.tissue,
-            item.elements,
-            item.xi,
-            item.stiffness,
-            "attachments",
-            None if head.jaw is None else carry,
-        )
+        yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "attachments", carried)
     for item in head.insertions.values():
         skin = head.skinward[item.elements], item.xi * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
         yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "insertions", to=skin)
+    for name, cut in cuts(head):
+        if _in_neck(name):
+            elements, xi, areas = face_points(head.tissue, *cut)
+            stiffness = NECK_STIFFNESS * areas
+            yield Springs(head.tissue, elements, xi, stiffness, "attachments", carried)
     if "cartilage" in head.deep:
         elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
         points = (measured or head).tissue.evaluate(elements, xi)
