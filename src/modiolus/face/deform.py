@@ -6,13 +6,13 @@ fitted. The inner surface follows the outer one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fitting import PointTarget, Smoothing, fit
+from ..fitting import PairTarget, PointTarget, Smoothing, fit
 from ..fitting.register import Matcher
 from ..hermite import HermiteMesh, grid, symmetry_plane
 from ..hermite.basis import Array
@@ -38,6 +38,8 @@ _BENT, _ENOUGH, _LITTLE = (0.5, 0.8), 0.3, 0.16
 _STIFFER, _TRIES = 10.0, 15
 #: Weight of a point of a margin relative to one of the skin.
 _MARGIN_WEIGHT = 8.0
+#: Weight of a pair of points of both lips, which part no farther than they did.
+_TOGETHER_WEIGHT = 1e4
 #: Weight of a point of the cuts at neck and scalp, which keep their height.
 _CUT_WEIGHT = 0.3
 #: Farthest match (mm) in the first and in the last step.
@@ -284,6 +286,7 @@ def fitted(
     """
     held = symmetry_plane(head.tissue, *head.sides["midplane"])
     mesh, stiffness = start, np.ones(start.n_elements)
+    together = _lips_together(head, start)
     for (first, second), reach in zip(_SKIN_SMOOTHING, _reaches(len(_SKIN_SMOOTHING)), strict=True):
         points = mesh.evaluate(skin.elements, skin.xi)
         normals = outer_normals(head, mesh, skin)
@@ -296,13 +299,27 @@ def fitted(
             # What was too stiff for this step needs less of it in the next.
             stiffness=np.maximum(stiffness / _STIFFER, 1.0),
         )
-        mesh, stiffness = unfolded(mesh, [*targets, *margins, skin.cuts], smoothing, held)
+        mesh, stiffness = unfolded(mesh, [*targets, together, *margins, skin.cuts], smoothing, held)
     return mesh
+
+
+def _lips_together(head: Head, mesh: HermiteMesh) -> PairTarget:
+    """Return that points of both lips' margins with the same coordinates are as far apart."""
+    _, axis, _ = head.sides["outer"]
+    ticks = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 5)] * 2), axis=-1).reshape(-1, 2)
+    places = []
+    for name in ("lip_upper", "lip_lower"):
+        cells, along, end = head.sides[name]
+        xi = np.zeros((len(ticks), 3))
+        xi[:, 3 - axis - along], xi[:, axis], xi[:, along] = *ticks.T, end
+        places.append((np.repeat(cells, len(ticks)), np.tile(xi, (len(cells), 1))))
+    apart = mesh.evaluate(*places[0]) - mesh.evaluate(*places[1])
+    return PairTarget("lips", places[0], places[1], apart, _TOGETHER_WEIGHT)
 
 
 def unfolded(
     mesh: HermiteMesh,
-    targets: list[PointTarget],
+    targets: Sequence[PointTarget | PairTarget],
     smoothing: Smoothing,
     held: NDArray[np.bool_] | None = None,
 ) -> tuple[HermiteMesh, Array]:
@@ -311,7 +328,7 @@ def unfolded(
     Parameters
     ----------
     mesh : HermiteMesh
-    targets : list of PointTarget
+    targets : sequence of PointTarget or PairTarget
     smoothing : Smoothing
         Its change counts from ``relative``, the shape that no element may lose too much of. Its
         stiffness, above 1, is one against the change from ``mesh``.

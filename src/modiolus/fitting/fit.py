@@ -114,6 +114,33 @@ class PointTarget:
             raise InputError(f"{self.name}: {len(self.xi)} places, {n} points; give one each")
 
 
+@dataclass(frozen=True, eq=False)
+class PairTarget:
+    """Pairs of fixed places of the mesh that should be so far apart.
+
+    Attributes
+    ----------
+    name : str
+    first, second : ((n,) int array, (n, dim) array)
+        Elements and local coordinates.
+    apart : (n, 3) array
+        From the second place to the first (mm).
+    weight : float
+    """
+
+    name: str
+    first: tuple[NDArray[np.int64], Array]
+    second: tuple[NDArray[np.int64], Array]
+    apart: Array
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        n = len(numbers(self.name, self.apart, None, 3))
+        _check(self.name, self.weight, 1.0, n)
+        if any(len(part) != n for part in (*self.first, *self.second)):
+            raise InputError(f"{self.name}: not a pair of places for {n} distances; give one each")
+
+
 def _check(name: str, weight: float | Array, sliding: float, n: int = 1) -> None:
     if np.shape(weight) not in ((), (n,)) or not (np.asarray(weight) >= 0.0).all():
         raise InputError(f"{name}: weights are not one, or one a point, from 0 up; mend them")
@@ -121,7 +148,7 @@ def _check(name: str, weight: float | Array, sliding: float, n: int = 1) -> None
         raise InputError(f"{name}: sliding {sliding:g} is not within 0 to 1; mend it")
 
 
-Target = CloudTarget | SurfaceTarget | PointTarget
+Target = CloudTarget | SurfaceTarget | PointTarget | PairTarget
 
 
 @dataclass(frozen=True)
@@ -269,6 +296,11 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
             target.normals,
             target.sliding,
         )
+    if isinstance(target, PairTarget):
+        operator = mesh.functions(*target.first) - mesh.functions(*target.second)
+        operator.eliminate_zeros()
+        weight = np.full(len(target.apart), target.weight)
+        return _Residual(operator, target.apart, weight, None, 1.0)
     part = target.part(mesh)
     normals: Array | None = None
     if isinstance(target, CloudTarget):
@@ -306,7 +338,7 @@ def fit(
     ----------
     mesh : HermiteMesh
         Initial mesh.
-    targets : sequence of CloudTarget, SurfaceTarget or PointTarget
+    targets : sequence of CloudTarget, SurfaceTarget, PointTarget or PairTarget
     smoothing : Smoothing or sequence of Smoothing, optional
         Penalties that add up; by default one of the second derivatives.
     fixed : (n_params, 3) bool array, optional
