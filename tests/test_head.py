@@ -19,7 +19,7 @@ from modiolus.errors import InputError
 from modiolus.face.build import build_head, skin_error
 from modiolus.face.differences import differences
 from modiolus.face.embed import bring_inside, inside_fraction
-from modiolus.face.head import Head, head_names
+from modiolus.face.head import Head, head_names, lasting_name
 from modiolus.face.muscle import Muscle
 from modiolus.face.muscles import MUSCLES
 from modiolus.face.template import NECK_CUT
@@ -113,6 +113,13 @@ def test_muscles_move_by_what_their_source_stands_outside(taro, name, outside):
     gap = taro.tissue.locate(points).distance
     assert_allclose(np.sqrt(np.mean(gap**2)), outside, atol=0.03)
     assert taro.about["quality"]["moved_rms_mm"][name] < outside + 0.15
+
+
+def test_a_head_is_found_again_from_elsewhere(tmp_path, monkeypatch):
+    (tmp_path / "taro").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert lasting_name("taro") == "taro"
+    assert lasting_name("./taro/") == str(tmp_path / "taro")
 
 
 def test_heads_are_compared_part_by_part(taro):

@@ -122,7 +122,7 @@ def identify(
     sequence activations.csv, and a folder for each frame in frames/ for modiolus export.
     """
     began = time.perf_counter()
-    from modiolus.face.head import Head
+    from modiolus.face.head import Head, lasting_name
     from modiolus.face.landmarks import read_landmarks
     from modiolus.scans.scan import known_unit
     from modiolus.scans.unknown import unknowns
@@ -142,7 +142,7 @@ def identify(
     if single and smooth:
         raise InputError(f"--smooth: {measured.path.name} is a single frame; leave it out")
     target = out / f"identify-{measured.name}"
-    source = str(Path(head).resolve()) if Path(head, "head.toml").is_file() else head
+    source = lasting_name(head)
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.mechanics.face import Face
         from modiolus.scans.identify import Identification

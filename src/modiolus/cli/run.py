@@ -17,7 +17,7 @@ from modiolus.cli.outputs import write_report
 from modiolus.compiling import compiler
 from modiolus.export import write_glb, write_vtu
 from modiolus.export.scene import FaceScene
-from modiolus.face.head import Head
+from modiolus.face.head import Head, lasting_name
 from modiolus.face.refine import at_points
 from modiolus.hermite.tessellate import tessellate
 from modiolus.mechanics import State
@@ -41,8 +41,8 @@ class Runner:
     head : Head
     quiet : bool
         No progress.
-    source : str
-        Name or folder of the head, for those who read the state later.
+    source : str, optional
+        Name or folder of the head, for those who read the state later; its name by default.
     settings : FaceSettings, optional
     """
 
@@ -55,7 +55,7 @@ class Runner:
     ) -> None:
         self.head = head
         self.face = Face(head, settings)
-        self.source = str(Path(source).resolve()) if Path(source, "head.toml").is_file() else source
+        self.source = lasting_name(source) if source else head.name
         self.quiet = quiet
 
     @cached_property
@@ -106,7 +106,7 @@ class Runner:
             folder / STATE_FILE,
             name,
             self.head,
-            self.source or self.head.name,
+            self.source,
             state.parameters,
             state.pressure,
             state.activations,

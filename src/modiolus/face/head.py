@@ -364,6 +364,12 @@ def about_head(name: str | Path) -> dict[str, Any]:
     return about
 
 
+def lasting_name(name: str | Path) -> str:
+    """Return what finds a head again from any folder: a shipped one's name, or its whole path."""
+    text = str(name)
+    return text if text in head_names() else str(Path(name).resolve())
+
+
 def head_names() -> tuple[str, ...]:
     """Return the names of the heads that come with the package."""
     if not _SHIPPED.is_dir():
