@@ -8,7 +8,15 @@ import scipy.sparse as sp
 
 from modiolus.anatomy import Surface
 from modiolus.errors import InputError, SolveError
-from modiolus.fitting import CloudTarget, PointTarget, Smoothing, SurfaceTarget, fit, sobolev
+from modiolus.fitting import (
+    CloudTarget,
+    PairTarget,
+    PointTarget,
+    Smoothing,
+    SurfaceTarget,
+    fit,
+    sobolev,
+)
 from modiolus.hermite import HermiteMesh, grid
 
 
@@ -52,6 +60,28 @@ def test_far_points_are_left_out() -> None:
     points = np.array([[0.0, 0.0, 8.5], [1.0, 1.0, 30.0]])
     target = CloudTarget("cloud", itself, points, reject=5.0)
     assert fit(patch(), [target]).groups["cloud"].count == 1
+
+
+def test_pairs_come_to_be_so_far_apart() -> None:
+    mesh = patch()
+    first, second = (np.array([0]), np.array([[0.0, 0.0]])), (np.array([8]), np.array([[1.0, 1.0]]))
+    apart = np.array([[-9.0, -10.0, 1.0]])
+    pair = PairTarget("pair", first, second, apart, 1e3)
+    result = fit(mesh, [pair], Smoothing(first=1e-3, second=1e-3, relative=True), iterations=1)
+    found = result.mesh.evaluate(*first) - result.mesh.evaluate(*second)
+    np.testing.assert_allclose(found, apart, atol=1e-3)
+    with pytest.raises(InputError, match="give one each"):
+        PairTarget("pair", first, second, np.zeros((2, 3)))
+
+
+def test_penalties_add_up_each_from_its_own_mesh() -> None:
+    mesh = patch()
+    up, down = (mesh.with_parameters(mesh.parameters * [1.0, 1.0, factor]) for factor in (1.5, 0.5))
+    bent = mesh.with_parameters(mesh.parameters + 0.1)
+    held = PointTarget("held", np.array([0]), np.array([[0.0, 0.0]]), np.array([[-5.0, -5.0, 8.0]]))
+    penalties = [Smoothing(first=1.0, relative=rest) for rest in (up, down)]
+    found = fit(bent, [held], penalties, iterations=1).mesh
+    np.testing.assert_allclose(found.parameters, mesh.parameters, atol=1e-4)
 
 
 def test_fixed_parameters_stay_and_constraints_hold() -> None:
