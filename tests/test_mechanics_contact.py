@@ -129,7 +129,7 @@ def over_an_edge(shift):
 
 def test_a_body_before_another_meets_its_flank():
     # 2 mm below the other's top: its edge, a column of points, is pushed sideways.
-    edge = 20 * 14 / 8
+    edge = 20 * 14 / 12
     energy, overlap = over_an_edge([19.9, 0.0, -2.0])
     assert energy == pytest.approx(0.5 * 20 * 0.1**2 * edge)
     assert overlap == pytest.approx(0.1)
@@ -139,8 +139,8 @@ def test_a_body_before_another_meets_its_flank():
 
 
 def test_what_hangs_out_over_a_flank_is_not_held():
-    # Of five columns of points two are beyond the edge.
-    share = 1 / 8 + 1 / 4 + 1 / 4
+    # Of seven columns of points three are beyond the edge.
+    share = 1 / 12 + 3 / 6
     energy, overlap = over_an_edge([9.0, 0.0, -0.05])
     assert energy == pytest.approx(0.5 * 20 * 0.05**2 * 20 * 14 * share)
     assert overlap == pytest.approx(0.05)
@@ -191,7 +191,7 @@ def test_patches_know_their_edges_to_neighbours():
 
 
 def test_an_edge_is_round():
-    edge, r = 20 * 14 / 8, facing.EDGE
+    edge, r = 20 * 14 / 12, facing.EDGE
     # As far below the top as behind the flank: a quarter of the rounding is taken off.
     energy, _ = over_an_edge([19.9, 0.0, -0.1])
     assert energy == pytest.approx(0.5 * 20 * (0.1 - r / 4) ** 2 * edge)

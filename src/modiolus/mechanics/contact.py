@@ -153,7 +153,7 @@ class SurfaceContact(PointTerm):
         Depth in mm over which the stiffness grows to ε.
     points : (patches (n,), xi (n, 2), areas (n,)), optional
         Points of the slave, as indices into its elements and coordinates on their side;
-        by default 4 x 4 Gauss points or, with flanks, 5 x 5 points of the trapezoidal rule.
+        by default 4 x 4 Gauss points or, with flanks, 7 x 7 points of the trapezoidal rule.
         `segments` makes those that integrate the pressure exactly between meshes that do not match.
     flanks : pair of sequences of (elements, axis, side), optional
         Other sides of the elements of slave and master. Those of the master end its body: points
@@ -190,8 +190,9 @@ class SurfaceContact(PointTerm):
             raise InputError(f"{name}: stiffness {stiffness} is not a number from 0 up; mend it")
         first, second = Patches.of(mesh, slave), Patches.of(mesh, master, *flanks[1])
         if points is None:
-            # The edges of a body that has flanks are what may cut into another.
-            points = first.points(*(trapezoidal(2, 5) if flanks[1] else gauss(2, 4)))
+            # The edges of a body that has flanks are what may cut into another, between two points
+            # as well.
+            points = first.points(*(trapezoidal(2, 7) if flanks[1] else gauss(2, 4)))
         self.onset = onset
         self.areas = np.asarray(points[2], dtype=float)
         self.stiffness = stiffness * self.areas

@@ -178,8 +178,13 @@ class Study:
         known = replace(self._default[0], load=load)
         if refines:
             return inherited(problem, known, variant.counts)
+        # With what presses contacts apart, too: without it the state is no equilibrium, and the
+        # way back to one may end at another.
         return replace(
-            problem.rest(), parameters=known.parameters, pressure=known.pressure, load=load
+            problem.rest(),
+            parameters=known.parameters,
+            pressure=known.pressure,
+            load=replace(load, offsets=self._default[0].load.offsets),
         )
 
     def _skin(self, half: Head, state: State, variant: Variant) -> Array:
