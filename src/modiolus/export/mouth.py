@@ -20,6 +20,8 @@ _MUCOSA, _DARK = np.array([0.46, 0.20, 0.19]), np.array([0.13, 0.045, 0.04])
 _SHADE = 0.4
 #: Points of roof and floor from front to back, and from side to side.
 _ALONG, _ACROSS = 12, 9
+#: Points around the wall behind them.
+_ROUND = 24
 #: By how much roof and floor are higher at the mid-plane than between the teeth (mm).
 _RISE = 5.0
 
@@ -95,16 +97,20 @@ def _cavity(roof: Array, floor: Array) -> tuple[Shape, Array]:
     cells = np.stack(
         [number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1
     ).reshape(-1, 4)
-    wall = np.stack([floor[-1, 0], floor[-1, -1], roof[-1, -1], roof[-1, 0]])
-    wall[:, 1] = wall[:, 1].min()
-    # Wider and higher than the arches: the corners of an open mouth must not show the way out.
-    middle = wall.mean(axis=0)
-    wall = middle + [1.45, 1.0, 1.4] * (wall - middle)
+    corners = np.stack([floor[-1, 0], floor[-1, -1], roof[-1, -1], roof[-1, 0]])
+    # Wider and higher than the arches: the corners of an open mouth must not show the way out. Not
+    # as wide in its own corners, where a slim face has no room.
+    angle = np.linspace(0.0, 2.0 * np.pi, _ROUND, endpoint=False)[:, None]
+    reach = 0.5 * np.ptp(corners, axis=0) * [1.45, 0.0, 1.4]
+    wall = corners.mean(axis=0) + reach * np.hstack([np.cos(angle), 0.0 * angle, np.sin(angle)])
+    wall[:, 1] = corners[:, 1].min()
     vertices = np.concatenate([roof.reshape(-1, 3), floor.reshape(-1, 3), wall])
-    quads = np.concatenate(
-        [cells[:, ::-1], cells + number.size, 2 * number.size + np.arange(4)[None]]
+    quads = np.concatenate([cells[:, ::-1], cells + number.size])
+    fan = 2 * number.size + np.stack(
+        [np.zeros(_ROUND - 2, dtype=int), np.arange(1, _ROUND - 1), np.arange(2, _ROUND)], axis=1
     )
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], fan])
     colour = _MUCOSA + np.minimum(1.5 * _depth(vertices), 1.0) * (_DARK - _MUCOSA)
-    follows = np.repeat([0.0, 1.0, 1.0, 0.0], [number.size, number.size, 2, 2])
+    follows = np.repeat([0.0, 1.0], number.size)
+    follows = np.concatenate([follows, 0.5 - 0.5 * np.sin(angle[:, 0])])
     return Shape(vertices, faces, colour, "mouth", gloss=0.0), follows
