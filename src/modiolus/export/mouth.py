@@ -112,5 +112,5 @@ def _cavity(roof: Array, floor: Array) -> tuple[Shape, Array]:
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], fan])
     colour = _MUCOSA + np.minimum(1.5 * _depth(vertices), 1.0) * (_DARK - _MUCOSA)
     follows = np.repeat([0.0, 1.0], number.size)
-    follows = np.concatenate([follows, 0.5 - 0.5 * np.sin(angle[:, 0])])
+    follows = np.concatenate([follows, wall[:, 2] < corners[:, 2].mean()])
     return Shape(vertices, faces, colour, "mouth", gloss=0.0), follows
