@@ -175,16 +175,14 @@ class Study:
         refines = variant.counts != (1, 1, 1)
         if self._default is None or variant.kind == "step" or (refines and self.both):
             return None
-        known = replace(self._default[0], load=load)
+        # With what presses contacts apart: without it the state is no equilibrium, and the way back
+        # to one may end at another. Contact points of a refined mesh are others.
+        offsets = self._default[0].load.offsets
+        known = replace(self._default[0], load=replace(load, offsets=offsets))
         if refines:
             return inherited(problem, known, variant.counts)
-        # With what presses contacts apart, too: without it the state is no equilibrium, and the
-        # way back to one may end at another.
         return replace(
-            problem.rest(),
-            parameters=known.parameters,
-            pressure=known.pressure,
-            load=replace(load, offsets=self._default[0].load.offsets),
+            problem.rest(), parameters=known.parameters, pressure=known.pressure, load=known.load
         )
 
     def _skin(self, half: Head, state: State, variant: Variant) -> Array:
