@@ -384,7 +384,7 @@ def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
         for name, mesh in zip(names, content["meshes"], strict=True)
         if "extras" in mesh
     }
-    assert set(keys) == {"skin", "lining", "teeth_lower", "gums_lower", "mouth"}
+    assert set(keys) == {"skin", "lining", "teeth_lower", "gums_lower", "mouth", "tongue"}
     assert all(value == ["wide", "open"] for value in keys.values())
     skin = content["meshes"][names.index("skin")]["primitives"][0]
     rest = accessor(skin["attributes"]["POSITION"])
@@ -393,7 +393,7 @@ def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
     left_half = rest[:, 0] > 0.0
     np.testing.assert_allclose(wide[left_half, 0], 0.02 * rest[left_half, 0], atol=2e-6)
     assert not still.any()
-    assert len(content["animations"][0]["channels"]) == 5
+    assert len(content["animations"][0]["channels"]) == 6
     assert "CC" in (tmp_path / "faces/LICENSE").read_text()
 
 

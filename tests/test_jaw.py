@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from modiolus.cli import main
 from modiolus.errors import InputError
+from modiolus.export.mouth import mouth
 from modiolus.export.scene import FaceScene
 from modiolus.face.embed import TRAGUS
 from modiolus.face.head import Head
@@ -169,7 +170,7 @@ def test_lower_teeth_are_drawn_where_the_jaw_takes_them(taro):
     rest = {s.name: s.vertices for s in scene.shapes(taro.tissue.parameters)}
     open_ = {s.name: s.vertices for s in scene.shapes(taro.tissue.parameters, jaw=angle)}
     rotation, shift = taro.jaw.pose(angle)
-    for name in ("teeth_lower", "gums_lower"):
+    for name in ("teeth_lower", "gums_lower", "tongue"):
         assert_allclose(open_[name], rest[name] @ rotation.T + shift)
     for name in ("teeth_upper", "gums_upper", "eye_left", "skin"):
         assert_allclose(open_[name], rest[name])
@@ -177,6 +178,24 @@ def test_lower_teeth_are_drawn_where_the_jaw_takes_them(taro):
     gone = np.abs(open_["mouth"] - rest["mouth"]).max(axis=1) > 0.0
     assert_allclose(open_["mouth"][gone], rest["mouth"][gone] @ rotation.T + shift)
     assert rest["mouth"][gone, 2].max() < rest["mouth"][~gone, 2].min()
+
+
+@pytest.mark.parametrize("name", ["taro", "ict"])
+def test_the_tongue_lies_within_the_lower_arch_and_closes_it_to_the_eye(name):
+    head = Head.load(name)
+    shown = {shape.name: shape.vertices for shape, _ in mouth(head)}
+    teeth, tongue = shown["teeth_lower"], shown["tongue"]
+    for y in np.arange(tongue[:, 1].min(), tongue[:, 1].max(), 3.0):
+        slab = tongue[np.abs(tongue[:, 1] - y) < 1.5]
+        if len(slab):
+            beside = teeth[np.abs(teeth[:, 1] - y) < 3.0]
+            assert np.ptp(slab[:, 0]) < np.ptp(beside[:, 0])
+    # Above the edges of the front teeth, close behind them, in their whole width.
+    front = teeth[:, 1].min()
+    edge = teeth[teeth[:, 1] < front + 5.0, 2].max()
+    close = tongue[(tongue[:, 1] < front + 18.0) & (tongue[:, 2] > edge + 1.0)]
+    assert tongue[:, 1].min() > front + 5.0
+    assert np.ptp(close[:, 0]) > 15.0
 
 
 def test_teeth_are_drawn_alike_on_both_sides_without_a_gap(taro):
