@@ -25,7 +25,7 @@ _LINING = (0.45, 0.20, 0.19)
 #: Angles about the line of sight at which the colour of an eye changes: pupil, iris, rim, white.
 _EYE_RINGS = ((0.17, (0.03, 0.03, 0.03)), (0.46, (0.33, 0.22, 0.14)), (0.50, (0.17, 0.12, 0.09)))
 _EYE_WHITE = (0.95, 0.94, 0.92)
-_CONJUNCTIVA = (0.62, 0.33, 0.31)
+_CONJUNCTIVA = (0.80, 0.56, 0.51)
 #: Half the height of an eyebrow in mm, at its inner and at its outer end.
 _BROW_HEIGHTS = (4.0, 1.4)
 
