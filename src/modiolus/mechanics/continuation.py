@@ -29,6 +29,8 @@ EASY = 8.0
 CHANGE = 0.7, 2.5
 #: Parts of a correction that the next may have for the factors to stay: above and below tolerance.
 GOOD, FAIR = 0.4, 0.7
+#: Part of an overlap that may be left when contacts are pressed once more, for it to be worth it.
+PRESSED = 0.9
 #: Damping, in multiples of the first diagonal: below the least there is none; the first where the
 #: tangent leads astray; beyond the most a step, or a relaxation, is given up.
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING, MOST_VISCOSITY = 0.03, 0.1, 20.0, 1e4
@@ -223,7 +225,9 @@ class Continuation:
         def goal(target: float) -> tuple[Load, float, float]:
             if target < 1.0:
                 return start.towards(load, target), settings.passing, math.inf
-            return load, settings.tolerance, self._limit(0)
+            # What will be pressed apart need not be told so finely.
+            limit = settings.penetration if settings.augmentations else math.inf
+            return load, settings.tolerance, limit
 
         while reached < 1.0:
             target = min(1.0, reached + step)
@@ -266,28 +270,27 @@ class Continuation:
         return self.state
 
     def _press(self, steps: int, began: float, kept: bool) -> None:
-        """Press contacts apart as long as they overlap (Uzawa's method).
+        """Press contacts apart as long as they overlap and that helps (Uzawa's method).
 
         Where they are pressed as they were in an earlier state, once at least.
         """
         settings = self.settings
-        for done in range(settings.augmentations):
-            overlap = self.state.statistics.max_penetration_mm
-            if overlap <= settings.penetration and not (kept and done == 0):
-                return
-            pressed = self.problem.augment(self.state.parameters, self.state.load)
-            try:
-                state = self._advance(pressed, settings.tolerance, self._limit(done + 1))
-            except SolveError:
-                # The overlap of the penalty remains, and is told, as is the last correction.
-                self._at_hand = False
-                return
-            self._keep(state, steps, began)
-
-    def _limit(self, done: int) -> float:
-        """Return the overlap beyond which a state at the last load will be pressed again."""
-        settings = self.settings
-        return settings.penetration if done < settings.augmentations else math.inf
+        least = math.inf
+        try:
+            for done in range(settings.augmentations):
+                overlap = self.state.statistics.max_penetration_mm
+                worth = settings.penetration < overlap < PRESSED * least
+                if not worth and not (kept and done == 0):
+                    break
+                least = overlap
+                pressed = self.problem.augment(self.state.parameters, self.state.load)
+                state = self._advance(pressed, settings.tolerance, settings.penetration)
+                self._keep(state, steps, began)
+            if self.state.statistics.correction_mm > settings.tolerance:
+                self._keep(self._advance(self.state.load, settings.tolerance), steps, began)
+        except SolveError:
+            # The overlap of the penalty remains, and is told, as is the last correction.
+            self._at_hand = False
 
     def _first_step(self, load: Load) -> float:
         """Return the first step: small at rest, and from a known state by what changes."""
