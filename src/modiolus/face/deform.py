@@ -1,7 +1,7 @@
 """The tissue of a head, deformed until its skin lies on the surface of another face.
 
 First a box of tricubic Hermite elements around the head is deformed, then the tissue itself is
-fitted. The inner surface follows the outer one.
+fitted. The inner surface follows the outer one, as far below it as it was.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fitting import PairTarget, PointTarget, Smoothing, fit
+from ..fitting import Equations, PairTarget, PointTarget, Smoothing, fit
 from ..fitting.register import Matcher
 from ..hermite import HermiteMesh, grid, symmetry_plane
-from ..hermite.basis import Array
+from ..hermite.basis import Array, basis
+from ..hermite.quadrature import gauss
 from .head import Head
 from .margins import Margins
 
@@ -29,6 +30,8 @@ _HOST_SMOOTHING = (3e3, 3e3, 1e3, 1e3, 3e2, 3e2, 1e2, 1e2, 30.0, 30.0)
 _SKIN_SMOOTHING = ((1e-1, 1.0), (3e-2, 0.3), (1e-2, 0.1), (3e-3, 3e-2), (1e-3, 1e-2), (1e-3, 1e-2))
 #: Weight of the change of the derivatives through the tissue: the inner surface follows.
 _THROUGH = 1.0
+#: Weights of both when the layer is given its thickness.
+_DEPTH_SMOOTHING = (1e-3, 1e-2)
 #: An element folds when its volume falls below this share somewhere.
 _CRUSHED = 0.3
 #: Or when its scaled Jacobian falls below a share of what it was; from a first value on no element
@@ -271,12 +274,14 @@ def fitted(
 ) -> HermiteMesh:
     """Fit the outer surface of a deformed head to the scan; the tissue below follows it.
 
-    An element that would fold, where a scan is faulty or the closest point is not the right one,
-    keeps for the moment the shape that it has come to.
+    The layer is as thick as that of the head, whatever the host has made of it. An element that
+    would fold, where a scan is faulty or the closest point is not the right one, keeps for the
+    moment the shape that it has come to.
 
     Parameters
     ----------
     head : Head
+        In the size of the scan.
     start : HermiteMesh
         The tissue as the host has left it.
     skin, scans
@@ -285,8 +290,9 @@ def fitted(
         See `margin_targets`.
     """
     held = symmetry_plane(head.tissue, *head.sides["midplane"])
-    mesh, stiffness = start, np.ones(start.n_elements)
     together = _lips_together(head, start)
+    start = _deepened(head, start, together, held)
+    mesh, stiffness = start, np.ones(start.n_elements)
     for (first, second), reach in zip(_SKIN_SMOOTHING, _reaches(len(_SKIN_SMOOTHING)), strict=True):
         points = mesh.evaluate(skin.elements, skin.xi)
         normals = outer_normals(head, mesh, skin)
@@ -301,6 +307,29 @@ def fitted(
         )
         mesh, stiffness = unfolded(mesh, [*targets, together, *margins, skin.cuts], smoothing, held)
     return mesh
+
+
+def _deepened(
+    head: Head, mesh: HermiteMesh, together: PairTarget, held: NDArray[np.bool_]
+) -> HermiteMesh:
+    """Return a deformed tissue with the thickness that it has in the head, below the same skin.
+
+    A host squeezes the layer where it moves a part of the skin back, and knows nothing of what
+    lies behind.
+    """
+    _, axis, side = head.sides["outer"]
+    elements, xi = spread(mesh)
+    outer, inner = xi.copy(), xi.copy()
+    outer[:, axis], inner[:, axis] = side, 1 - side
+    was, now = (
+        np.linalg.norm(item.evaluate(elements, outer) - item.evaluate(elements, inner), axis=1)
+        for item in (head.tissue, mesh)
+    )
+    skin = mesh.evaluate(elements, outer)
+    points = skin + (was / np.maximum(now, 1e-9))[:, None] * (mesh.evaluate(elements, xi) - skin)
+    target = PointTarget("depth", elements, xi, points)
+    smoothing = Smoothing(*_DEPTH_SMOOTHING, relative=mesh)
+    return unfolded(mesh, [target, together], smoothing, held)[0]
 
 
 def _lips_together(head: Head, mesh: HermiteMesh) -> PairTarget:
@@ -344,9 +373,10 @@ def unfolded(
     stiffness = np.broadcast_to(smoothing.stiffness, mesh.n_elements)
     shape = _volumes(rest)
     smooth = replace(smoothing, relative=rest, stiffness=1.0)
+    equations = Equations.of(mesh, targets).smoothed(smooth)
     for _ in range(_TRIES):
         keeping = replace(smoothing, relative=mesh, stiffness=stiffness - 1.0)
-        found = fit(mesh, targets, [smooth, keeping], held, iterations=1).mesh
+        found = equations.smoothed(keeping).solved(held)
         folding = _folding(shape, _volumes(found))
         if not folding.any():
             break
@@ -360,10 +390,21 @@ def _volumes(mesh: HermiteMesh) -> tuple[Array, Array]:
     The scaled one is that at Gauss points: at the edge of a lip the skin runs on into its inner
     side, and the tangents there lie in a plane in any head.
     """
-    jacobian = np.linalg.det(mesh.jacobian(*spread(mesh, 5))).reshape(mesh.n_elements, -1)
-    elements, xi, _ = mesh.gauss_points(4)
-    scaled = mesh.scaled_jacobian(elements, xi).reshape(mesh.n_elements, -1)
-    return jacobian, scaled.min(axis=1)
+    ends, inside = np.linspace(0.0, 1.0, 5), gauss(3, 4)[0]
+    corners = np.stack(np.meshgrid(ends, ends, ends, indexing="ij"), axis=-1).reshape(-1, 3)
+    tangents = _tangents(mesh, inside)
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    return np.linalg.det(_tangents(mesh, corners)), np.linalg.det(tangents).min(axis=1)
+
+
+def _tangents(mesh: HermiteMesh, xi: Array) -> Array:
+    """Return dx/dxi_k (n_elements, q, 3, 3) at the same places (q, 3) of every element, as rows.
+
+    The functions of one element serve all.
+    """
+    values = np.stack([basis(3, xi, order) for order in np.eye(3, dtype=int).tolist()], axis=1)
+    local = mesh.local()
+    return np.asarray((values.reshape(-1, 64) @ local).reshape(len(local), len(xi), 3, 3))
 
 
 def _folding(old: tuple[Array, Array], new: tuple[Array, Array]) -> NDArray[np.bool_]:

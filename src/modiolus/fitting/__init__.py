@@ -2,6 +2,7 @@
 
 from .fit import (
     CloudTarget,
+    Equations,
     FitResult,
     GroupReport,
     PairTarget,
@@ -16,6 +17,7 @@ from .register import Registration, icp, register, similarity
 
 __all__ = [
     "CloudTarget",
+    "Equations",
     "FitResult",
     "GroupReport",
     "PairTarget",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -191,22 +192,27 @@ class GroupReport:
     count: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitResult:
-    """A fitted mesh with its report.
+    """A fitted mesh and what it was fitted to.
 
     Attributes
     ----------
     mesh : HermiteMesh
-    groups : dict of GroupReport
-        Residuals by target name; targets of the same name count together.
-    min_jacobian : float or None
-        Smallest Jacobian determinant at 4x4x4 points, for volume meshes.
+    targets : sequence of CloudTarget, SurfaceTarget, PointTarget or PairTarget
     """
 
     mesh: HermiteMesh
-    groups: dict[str, GroupReport] = field(default_factory=dict)
-    min_jacobian: float | None = None
+    targets: Sequence[Target]
+
+    @cached_property
+    def groups(self) -> dict[str, GroupReport]:
+        """Residuals by target name; targets of the same name count together."""
+        distances: dict[str, list[Array]] = {}
+        for target in self.targets:
+            found = _residual(target, self.mesh).distances(self.mesh.parameters)
+            distances.setdefault(target.name, []).append(found)
+        return {name: _report(np.concatenate(found)) for name, found in distances.items()}
 
 
 def _derivative_orders(dim: int) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
@@ -268,17 +274,22 @@ def part_normals(part: HermiteMesh, elements: NDArray[np.int64], xi: Array) -> A
 
 @dataclass(frozen=True)
 class _Residual:
+    """What a target asks of the parameters: ``operator @ parameters`` should be ``points``.
+
+    The weight counts in full along the normals, by a share of it across them.
+    """
+
     operator: sp.csr_matrix
     points: Array
     weight: Array
     normals: Array | None
-    sliding: float
+    share: float
 
     def distances(self, parameters: Array) -> Array:
         gap = self.points - self.operator @ parameters
         if self.normals is not None:
             tangential = gap - np.sum(gap * self.normals, axis=1, keepdims=True) * self.normals
-            gap = gap - (1.0 - np.sqrt(self.sliding)) * tangential
+            gap = gap - (1.0 - np.sqrt(self.share)) * tangential
         return np.asarray(np.linalg.norm(gap, axis=1))
 
 
@@ -294,7 +305,7 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
             target.points,
             np.asarray(weight, dtype=float),
             target.normals,
-            target.sliding,
+            1.0 if target.normals is None else target.sliding,
         )
     if isinstance(target, PairTarget):
         operator = mesh.functions(*target.first) - mesh.functions(*target.second)
@@ -320,7 +331,8 @@ def _residual(target: Target, mesh: HermiteMesh) -> _Residual:
     if part.n_params != mesh.n_params:
         raise InputError(f"{target.name}: its part has other parameters; pick faces of the mesh")
     operator = part.functions(elements, xi)
-    return _Residual(operator, points, np.asarray(weight, dtype=float), normals, target.sliding)
+    share = 1.0 if normals is None else target.sliding
+    return _Residual(operator, points, np.asarray(weight, dtype=float), normals, share)
 
 
 def fit(
@@ -374,44 +386,88 @@ def fit(
             f"constraints: shape {constraints[0].shape} for {len(constraints[1])} values; give a "
             f"row each of {3 * mesh.n_params} columns"
         )
-    every = [smoothing] if isinstance(smoothing, Smoothing) else smoothing or [Smoothing()]
-    penalties = [(sobolev(mesh, one), _reference(mesh, one)) for one in every]
-    roughness = sum((matrix for matrix, _ in penalties[1:]), penalties[0][0])
-    free = np.flatnonzero(~held.ravel())
-    identity = sp.identity(3, format="csr")
+    penalties = [smoothing] if isinstance(smoothing, Smoothing) else smoothing or [Smoothing()]
+    rest = [replace(one, relative=mesh) if one.relative is True else one for one in penalties]
     for _ in range(iterations):
-        current = mesh.parameters
-        matrix = sp.kron(roughness + damping * sp.identity(mesh.n_params), identity, format="csr")
-        right = sum(part @ (rest - current) for part, rest in penalties).ravel()
+        equations = Equations.of(mesh, targets, damping)
+        for one in rest:
+            equations = equations.smoothed(one)
+        mesh = equations.solved(held, constraints)
+    return FitResult(mesh, targets)
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Normal equations of a fit, linear in the change of a mesh's parameters.
+
+    Attributes
+    ----------
+    mesh : HermiteMesh
+        From whose parameters the change counts.
+    alike : (n_params, n_params) CSR matrix
+        What acts on each of the three components alike.
+    coupled : (3 * n_params, 3 * n_params) CSR matrix
+        What couples them, component fastest.
+    right : (n_params, 3) array
+    """
+
+    mesh: HermiteMesh
+    alike: sp.csr_matrix
+    coupled: sp.csr_matrix
+    right: Array
+
+    @classmethod
+    def of(cls, mesh: HermiteMesh, targets: Sequence[Target], damping: float = 1e-8) -> Equations:
+        """Project targets onto a mesh and add up what they ask of it."""
+        n = mesh.n_params
+        alike, coupled = damping * sp.identity(n, format="csr"), sp.csr_matrix((3 * n, 3 * n))
+        right = np.zeros((n, 3))
         for target in targets:
             residual = _residual(target, mesh)
-            gap = residual.points - residual.operator @ current
-            wide = sp.kron(residual.operator, identity, format="csr")
-            if residual.normals is None:
-                metric = sp.diags(np.repeat(residual.weight, 3), format="csr")
-            else:
-                metric = _sliding_metric(residual)
-            weighted = wide.T @ metric
-            matrix = matrix + weighted @ wide
-            right = right + weighted @ gap.ravel()
-        step = np.zeros(3 * mesh.n_params)
+            gap = residual.points - residual.operator @ mesh.parameters
+            weighted = residual.operator.T @ sp.diags(residual.share * residual.weight)
+            alike = alike + weighted @ residual.operator
+            right += weighted @ gap
+            if residual.normals is not None:
+                along = _along(residual.operator, residual.normals)
+                weighted = along.T @ sp.diags((1.0 - residual.share) * residual.weight)
+                coupled = coupled + weighted @ along
+                right += (weighted @ np.sum(gap * residual.normals, axis=1)).reshape(-1, 3)
+        return cls(mesh, alike, coupled, right)
+
+    def smoothed(self, smoothing: Smoothing) -> Equations:
+        """Return the equations with a penalty added."""
+        penalty = sobolev(self.mesh, smoothing)
+        pull = penalty @ (_reference(self.mesh, smoothing) - self.mesh.parameters)
+        return replace(self, alike=self.alike + penalty, right=self.right + pull)
+
+    def solved(
+        self,
+        fixed: NDArray[np.bool_] | None = None,
+        constraints: tuple[sp.csr_matrix, Array] | None = None,
+    ) -> HermiteMesh:
+        """Return the mesh with the parameters that solve them; see `fit`."""
+        current = self.mesh.parameters
+        free = np.arange(current.size) if fixed is None else np.flatnonzero(~fixed.ravel())
+        matrix = sp.kron(self.alike, sp.identity(3), format="csr") + self.coupled
+        step = np.zeros(current.size)
         try:
-            step[free] = _solve(matrix[free][:, free], right[free], constraints, current, free)
+            step[free] = _solve(
+                matrix[free][:, free], self.right.ravel()[free], constraints, current, free
+            )
         except RuntimeError as error:
             raise SolveError(
                 f"fit: {error}; add smoothing or damping, and constrain nothing that is fixed"
             ) from None
-        mesh = mesh.with_parameters(current + step.reshape(-1, 3))
-    distances: dict[str, list[Array]] = {}
-    for target in targets:
-        found = _residual(target, mesh).distances(mesh.parameters)
-        distances.setdefault(target.name, []).append(found)
-    groups = {name: _report(np.concatenate(found)) for name, found in distances.items()}
-    smallest = None
-    if mesh.dim == 3:
-        elements, xi, _ = mesh.gauss_points(4)
-        smallest = float(np.linalg.det(mesh.jacobian(elements, xi)).min())
-    return FitResult(mesh, groups, smallest)
+        return self.mesh.with_parameters(current + step.reshape(-1, 3))
+
+
+def _along(operator: sp.csr_matrix, normals: Array) -> sp.csr_matrix:
+    """Return the operator (n, 3 * n_params) that gives the component along normals (n, 3)."""
+    rows, columns = operator.shape
+    values = operator.data[:, None] * np.repeat(normals, np.diff(operator.indptr), axis=0)
+    places = 3 * operator.indices[:, None] + np.arange(3)
+    return sp.csr_matrix((values.ravel(), places.ravel(), 3 * operator.indptr), (rows, 3 * columns))
 
 
 def _reference(mesh: HermiteMesh, smoothing: Smoothing) -> Array:
@@ -430,16 +486,6 @@ def _report(distances: Array) -> GroupReport:
         float(distances.max()),
         len(distances),
     )
-
-
-def _sliding_metric(residual: _Residual) -> sp.csr_matrix:
-    """Weigh normal residuals fully and tangential ones by the sliding weight."""
-    assert residual.normals is not None
-    outer = residual.normals[:, :, None] * residual.normals[:, None, :]
-    blocks = (1.0 - residual.sliding) * outer + residual.sliding * np.eye(3)
-    blocks *= residual.weight[:, None, None]
-    n = len(blocks)
-    return sp.bsr_matrix((blocks, np.arange(n), np.arange(n + 1))).tocsr()
 
 
 def _solve(
