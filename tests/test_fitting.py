@@ -17,6 +17,7 @@ from modiolus.fitting import (
     fit,
     sobolev,
 )
+from modiolus.fitting.definite import Definite
 from modiolus.hermite import HermiteMesh, grid
 
 
@@ -161,6 +162,24 @@ def test_a_fit_without_a_unique_solution_says_so() -> None:
     target = CloudTarget("c", itself, np.zeros((1, 3)))
     with pytest.raises(SolveError, match=r"fit: .*smoothing"):
         fit(patch(), [target], Smoothing(second=0.0), damping=0.0)
+
+
+@pytest.mark.parametrize("mkl", [True, False])
+def test_systems_of_one_structure_are_solved_one_after_another(
+    mkl: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not mkl:
+        monkeypatch.setattr("modiolus.fitting.definite._pardiso", lambda: None)
+    chain = sp.diags([[-1.0] * 19, [3.0] * 20, [-1.0] * 19], [-1, 0, 1], format="csr")
+    wider = chain + sp.csr_matrix(([1.0], ([0], [0])), (20, 20))
+    full = sp.csr_matrix(chain.toarray() + 1.0)
+    wanted, solver = np.arange(20.0), Definite()
+    # The last is not definite, and has its solution all the same.
+    for matrix in (chain, wider, full, sp.csr_matrix(full - 2.0 * sp.identity(20))):
+        found = solver.solve(matrix, matrix @ wanted)
+        np.testing.assert_allclose(found, wanted, atol=1e-10)
+    with pytest.raises(RuntimeError, match="singular"):
+        solver.solve(sp.diags([1.0] * 19 + [0.0], format="csr"), wanted)
 
 
 def test_the_report_is_of_what_is_minimised_and_joins_targets_of_one_name() -> None:

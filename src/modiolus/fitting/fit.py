@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..hermite import HermiteMesh
 from ..hermite.basis import Array, basis
 from ..hermite.check import numbers
 from ..hermite.quadrature import gauss
+from .definite import Definite
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,12 +410,15 @@ class Equations:
     coupled : (3 * n_params, 3 * n_params) CSR matrix
         What couples them, component fastest.
     right : (n_params, 3) array
+    solver : Definite
+        Kept from one set of penalties to the next.
     """
 
     mesh: HermiteMesh
     alike: sp.csr_matrix
     coupled: sp.csr_matrix
     right: Array
+    solver: Definite = field(default_factory=Definite)
 
     @classmethod
     def of(cls, mesh: HermiteMesh, targets: Sequence[Target], damping: float = 1e-8) -> Equations:
@@ -450,11 +454,17 @@ class Equations:
         current = self.mesh.parameters
         free = np.arange(current.size) if fixed is None else np.flatnonzero(~fixed.ravel())
         matrix = sp.kron(self.alike, sp.identity(3), format="csr") + self.coupled
+        matrix, right = matrix[free][:, free], self.right.ravel()[free]
         step = np.zeros(current.size)
         try:
-            step[free] = _solve(
-                matrix[free][:, free], self.right.ravel()[free], constraints, current, free
-            )
+            if constraints is None:
+                step[free] = self.solver.solve(matrix, right)
+            else:
+                rows, values = constraints
+                right = np.concatenate([right, values - rows @ current.ravel()])
+                rows = rows[:, free]
+                whole = splu(sp.bmat([[matrix, rows.T], [rows, None]], format="csc"))
+                step[free] = whole.solve(right)[: len(free)]
         except RuntimeError as error:
             raise SolveError(
                 f"fit: {error}; add smoothing or damping, and constrain nothing that is fixed"
@@ -486,26 +496,3 @@ def _report(distances: Array) -> GroupReport:
         float(distances.max()),
         len(distances),
     )
-
-
-def _solve(
-    matrix: sp.csr_matrix,
-    right: Array,
-    constraints: tuple[sp.csr_matrix, Array] | None,
-    current: Array,
-    free: NDArray[np.int64],
-) -> Array:
-    if constraints is None:
-        # Symmetric and positive definite: an ordering of A + A^T and no pivoting fill less.
-        factors = splu(
-            matrix.tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        return np.asarray(factors.solve(right))
-    rows, values = constraints
-    defect = values - rows @ current.ravel()
-    block = sp.bmat([[matrix, rows[:, free].T], [rows[:, free], None]], format="csc")
-    solution = splu(block).solve(np.concatenate([right, defect]))
-    return np.asarray(solution[: len(free)])
