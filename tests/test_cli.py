@@ -26,6 +26,7 @@ from modiolus.face.expression import Expression
 from modiolus.face.head import Head
 from modiolus.mechanics import Settings, continuation
 from modiolus.mechanics.face import FaceSettings
+from modiolus.mechanics.problem import Statistics
 from modiolus.progress import Interruption, Progress
 
 COMMANDS = ["simulate", "catalogue", "beam", "build", "heads", "head", "head show", "head diff"]
@@ -220,7 +221,7 @@ def test_the_landmark_that_moved_most_is_told():
         points = {"mouth_corner_left": left, "mouth_corner_right": right, "chin": 1.0}
         return {
             **{"expression": "sad", "head": "taro", "steps": 4, "newton_iterations": 20},
-            **{"solve_s": 8.0, "compile_s": seconds},
+            **{"solve_s": 8.0, "compile_s": seconds, "doubts": []},
             "landmarks": {n: {"displacement": [0.0, 0.0, far]} for n, far in points.items()},
             "files": {"picture": "face.png", "report": "report.json"},
         }
@@ -230,6 +231,14 @@ def test_the_landmark_that_moved_most_is_told():
     assert sides in describe(record(0.0, 3.0))
     assert "the chin moved most, 1.0 mm\n" in describe(record(0.0, 0.0))
     assert "8.0 s beside 27 s of compiling; " in describe(record(3.0, 3.0, 27.0))
+
+
+def test_a_result_that_is_doubtful_says_so():
+    assert Statistics(J_min=0.6, J_max=1.5, max_penetration_mm=0.05).doubts == ()
+    found = Statistics(J_min=0.2, max_penetration_mm=2.51, jumps=1).doubts
+    assert len(found) == 3
+    assert found[0] == "parts that touch overlap by 2.5 mm"
+    assert "20% of its volume" in found[1]
 
 
 def test_quiet_says_nothing(run):

@@ -80,7 +80,7 @@ FIELDS = {
     *("expression", "head", "converged", "elements", "nodes", "unknowns", "steps"),
     *("newton_iterations", "solve_s", "compile_s", "wall_s", "J_min", "J_max", "volume_change"),
     *("max_penetration_mm", "activations", "jaw_open", "landmarks", "files", "version"),
-    *("factorisations", "jumps", "wrong_pivots", "correction_mm", "settings"),
+    *("factorisations", "jumps", "wrong_pivots", "correction_mm", "settings", "doubts"),
 }
 
 

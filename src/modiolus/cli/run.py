@@ -150,6 +150,7 @@ class Runner:
             "J_max": statistics.J_max,
             "volume_change": statistics.volume_change,
             "max_penetration_mm": statistics.max_penetration_mm,
+            "doubts": list(statistics.doubts),
             "activations": state.activations,
             "settings": asdict(self.face.settings),
             "jaw_open": round(math.degrees(state.load.jaw), 6),

@@ -208,10 +208,11 @@ def describe(record: dict[str, Any]) -> str:
     """Return what a person wants to know of a run, in a few lines."""
     compiled = record["compile_s"]
     beside = f" beside {compiled:.0f} s of compiling" if compiled > 0.5 else ""
+    doubts = "".join(f"Doubtful: {doubt}\n" for doubt in record["doubts"])
     return (
         f"{record['expression']} on {record['head']}: {record['steps']} steps, "
         f"{record['newton_iterations']} iterations, {record['solve_s']:.1f} s{beside}; "
-        f"{_farthest(record['landmarks'])}\n"
+        f"{_farthest(record['landmarks'])}\n{doubts}"
         f"Picture: {record['files']['picture']}\nReport:  {record['files']['report']}"
     )
 

@@ -34,6 +34,11 @@ def trilinear(xi: ArrayLike) -> Array:
     return out
 
 
+#: Overlap (mm) and volume ratios at a point beyond which a state is doubtful.
+OVERLAP = 0.3
+VOLUMES = 0.5, 1.6
+
+
 @dataclass
 class Statistics:
     """How a computation went.
@@ -75,6 +80,20 @@ class Statistics:
     def as_dict(self) -> dict[str, float | int | bool | None]:
         """Return the figures for a report."""
         return asdict(self)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What a person should know before trusting a state, though it has converged."""
+        found = []
+        if self.max_penetration_mm > OVERLAP:
+            found.append(f"parts that touch overlap by {self.max_penetration_mm:.1f} mm")
+        if self.J_min < VOLUMES[0]:
+            found.append(f"tissue is pressed to {self.J_min:.0%} of its volume at a point")
+        if self.J_max > VOLUMES[1]:
+            found.append(f"tissue is drawn to {self.J_max:.0%} of its volume at a point")
+        if self.jumps:
+            found.append("the path ended on the way, and the tissue went over to a state elsewhere")
+        return tuple(found)
 
 
 @dataclass(frozen=True)
