@@ -282,7 +282,7 @@ def test_interruption_keeps_the_last_state():
 
 @pytest.fixture(scope="module")
 def beams():
-    return {angle: bend_beam(angle, 0.01) for angle in (0.0, 36.0, 60.0)}
+    return {angle: bend_beam(angle, 0.02) for angle in (0.0, 36.0, 60.0)}
 
 
 def test_beam_with_straight_fibres_bends_towards_the_slab_and_does_not_twist(beams):
@@ -305,4 +305,4 @@ def test_beam_with_oblique_fibres_twists(beams):
 
 def test_beam_refuses_an_impossible_angle():
     with pytest.raises(InputError, match="angle: 120"):
-        bend_beam(120.0)
+        bend_beam(120.0, 0.02)

@@ -23,7 +23,7 @@ def beam(
     ] = 36.0,
     activation: Annotated[
         float, typer.Option("--activation", metavar="VALUE", help="Of the muscle, 0 to 1.")
-    ] = 0.1,
+    ] = 0.02,
     out: Out = Path("out"),
     as_json: Json = False,
     quiet: Quiet = False,

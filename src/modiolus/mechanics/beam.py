@@ -80,7 +80,7 @@ def fibre_direction(angle: float) -> Array:
     return np.array([np.cos(radians), np.sin(radians), 0.0])
 
 
-def bend_beam(angle: float, activation: float = 0.1, report: Report | None = None) -> BeamResult:
+def bend_beam(angle: float, activation: float, report: Report | None = None) -> BeamResult:
     """Contract the slab and follow the beam.
 
     Parameters
