@@ -68,8 +68,8 @@ ACTIONS = {
 }
 
 #: What anatomy says as well and the model does not do. The wing of the nose goes towards the
-#: septum as nasalis contracts: the source's ends above it, on the bridge, and what it pushes down
-#: from there pushes the wing out a little.
+#: septum as nasalis contracts: the source's lies on bone above it, from the maxilla to the bridge,
+#: and the skin that it draws down slides along the wing, which flares (docs/head.md).
 ASTRAY = {"nasalis": [("ala_left", "-x")]}
 
 #: Expressions that are the same on both sides: those of Wu et al. 2013.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..anatomy import DEEP_STRUCTURES, BodyParts3D, DistanceGrid, deep_distances
+from ..anatomy.distance import QUANTUM
 from ..anatomy.surface import Surface
 from ..hermite import HermiteMesh
 from ..hermite.basis import Array
@@ -84,10 +86,11 @@ def build_head(
     tell(0.0, "distances to the deep structures")
     deep = deep_distances(anatomy, [n for n in DEEP_STRUCTURES if n != "eyeball"])
     low, high = np.array(EYE_CENTRE) - 20.0, np.array(EYE_CENTRE) + 20.0
+    deep["gums_upper"] = _bared(deep["gums_upper"], anatomy.surface("depressor_septi_nasi"))
     deep["eyeball"] = DistanceGrid.of([eyeball()], _EYE_SPACING, np.stack([low, high]))
     tell(0.15, "tissue")
     skin = anatomy.surface("skin")
-    tissue = build_tissue(skin, deep, [anatomy.surface(name) for name in BEDDED])
+    tissue = build_tissue(skin, deep, {name: anatomy.surface(name) for name in BEDDED})
     tell(0.25, "muscles")
     fitted = build_muscles(anatomy)
     tell(0.75, "muscles into the tissue")
@@ -148,12 +151,39 @@ def build_head(
     return head, table
 
 
+#: How far (mm) what lies before a muscle is cut away, and around the muscle.
+_BEFORE, _AROUND = 6.0, 0.7
+
+
+def _bared(gums: DistanceGrid, muscle: Surface) -> DistanceGrid:
+    """Return the distance to gums without what of them lies around and before a muscle.
+
+    The source's reach up to the spine of the nose and over the origin of depressor septi nasi,
+    where the vestibule of the mouth has long turned into the lip: the muscle lies in the tissue.
+    """
+    body = DistanceGrid.of([muscle], 0.5)
+    axes = [
+        start + gums.spacing * np.arange(n)
+        for start, n in zip(gums.origin, gums.values.shape, strict=True)
+    ]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = QUANTUM * gums.values.ravel().astype(np.float64)
+    low, high = muscle.bounds + np.array([[-2.0, -2.0 - _BEFORE, -2.0], [2.0, 2.0, 2.0]])
+    near = np.flatnonzero((points > low).all(axis=1) & (points < high).all(axis=1))
+    for back in np.arange(0.0, _BEFORE + 0.1, 0.5):
+        gap = body.sample(points[near] + [0.0, back, 0.0]).distance
+        distance[near] = np.maximum(distance[near], _AROUND - gap)
+    values = np.round(distance / QUANTUM).astype(np.int8).reshape(gums.values.shape)
+    return replace(gums, values=values)
+
+
 def provenance(muscles: Iterable[str], deep: Iterable[str]) -> dict[str, str]:
     """Return for each part of a head built from BodyParts3D what it comes from."""
     out = {"skin": f"{GIVEN}: moved out where muscles need room"}
     out["inner_surface"] = f"{GIVEN}: on bone, elsewhere {INFERRED}: a greatest depth by region"
     out |= dict.fromkeys(muscles, f"{GIVEN}: moved into the tissue")
     out |= dict.fromkeys(deep, GIVEN)
+    out["gums_upper"] = f"{GIVEN}: cut away over depressor septi nasi"
     out["eyeball"] = f"{INFERRED}: a ball of {2 * EYE_RADIUS:g} mm behind the lids"
     out["attachments"] = f"{INFERRED}: at the ends of the muscles, ligaments from the literature"
     return out

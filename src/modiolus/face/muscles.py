@@ -128,8 +128,9 @@ _SOURCES = {
     ),
     "nasalis": _Source(
         "sheet",
-        ((0, 0, -1), (0, 1, 0), (0, 0, 1), (0, -1, -0.1)),
-        "from the maxilla, the lower hind edge with its tip, to the bridge of the nose in front",
+        ((0, -0.45, -1), (0.2, 0.35, -1), (0, 0, 1), (0, -1, -0.1)),
+        "from the maxilla, the lower tip from which the source's bundles fan out, to the bridge of "
+        "the nose in front",
     ),
     "depressor_septi_nasi": _Source(
         "sheet",

@@ -9,8 +9,8 @@ tricubic elements.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -84,10 +84,16 @@ DEPTHS: dict[tuple[float, float], float] = {
     (0, 21): 8, (6, 21): 8, (9, 21): 8, (12, 21): 8,
 }  # fmt: skip
 
-#: Muscles that lie on the bone beside the nose and under the brow, deeper than `DEPTHS`: the layer
-#: reaches beneath them, by at most so much (mm) more.
-BEDDED = ("levator_labii_superioris_alaeque_nasi", "corrugator_supercilii")
-DEEPER = 3.0
+#: Muscles that lie deeper than `DEPTHS`, on the bone beside the nose and under the brow, and in the
+#: pocket between jaws and masseter: the layer reaches beneath them, by at most so much (mm) more.
+BEDDED: dict[str, float] = {
+    "levator_labii_superioris_alaeque_nasi": 3.0,
+    "corrugator_supercilii": 3.0,
+    "buccinator": 8.0,
+}
+#: Columns and rows of nodes, first and last, around the pocket. The inner surface may slide along
+#: itself there, for the layer's depth to change evenly.
+POCKET = ((5, 10), (3, 10))
 
 #: Least thickness (mm) over bone where a muscle lies: the skin is moved out to make room.
 LEAST = 3.2
@@ -182,16 +188,19 @@ def _depth_limit(place: Array) -> Array:
 
 
 def _deeper(
-    lattice: _Lattice, limit: Array, bedded: Iterable[Surface], hard: Mapping[str, DistanceGrid]
+    lattice: _Lattice,
+    limit: Array,
+    bedded: Mapping[str, Surface],
+    hard: Mapping[str, DistanceGrid],
 ) -> Array:
     """Return by how much (mm) the layer exceeds its limit to lie beneath muscles, (n,)."""
     tree = cKDTree(lattice.points)
     deeper = np.zeros(len(limit))
-    for body in bedded:
+    for name, body in bedded.items():
         points = body.samples(0.5)
         points = points[_nearest(hard, points)[0] > 0.0]
         depth, at = tree.query(points)
-        np.maximum.at(deeper, at, np.minimum(depth + MARGIN - limit[at], DEEPER))
+        np.maximum.at(deeper, at, np.minimum(depth + MARGIN - limit[at], BEDDED[name]))
     # Wider than the muscles by two points, so that smoothing leaves them their room.
     rows, columns = lattice.average.nonzero()
     for _widen in range(2):
@@ -297,7 +306,7 @@ def _itself(mesh: HermiteMesh) -> HermiteMesh:
 def shrink(
     outer: HermiteMesh,
     deep: Mapping[str, DistanceGrid],
-    bedded: Iterable[Surface],
+    bedded: Mapping[str, Surface],
 ) -> tuple[_Lattice, Array]:
     """Shrink the outer surface onto the deep structures, beneath muscles that lie on them.
 
@@ -358,7 +367,7 @@ def shrink(
 
 
 def build_tissue(
-    skin: Surface, deep: Mapping[str, DistanceGrid], bedded: Iterable[Surface]
+    skin: Surface, deep: Mapping[str, DistanceGrid], bedded: Mapping[str, Surface]
 ) -> Tissue:
     """Build the tissue mesh of the left half of the face.
 
@@ -368,8 +377,8 @@ def build_tissue(
         Skin of the head, possibly double-walled.
     deep : mapping of DistanceGrid
         Deep structures by name.
-    bedded : iterable of Surface
-        Muscles that lie on them, `BEDDED`.
+    bedded : mapping of Surface
+        Muscles that lie on them by name, of `BEDDED`.
 
     Returns
     -------
@@ -388,7 +397,7 @@ def build_tissue(
     held[[plan.node[0, MOUTH_ROW], plan.upper[0, MOUTH_ROW]], ::2, 0] = True
     start = outer.with_parameters(plan.scatter(nodal))
     fixed = plan.scatter(held)
-    inner = _fit_envelope(plan, start, lattice, arrived, fixed, deep)
+    inner = _fit_envelope(plan, start, outer, lattice, arrived, fixed, deep)
     mesh = _layer(plan, inner.parameters, _closed(plan, outer.parameters))
     return Tissue(mesh, _sides(), _landmarks(plan))
 
@@ -396,6 +405,7 @@ def build_tissue(
 def _fit_envelope(
     plan: Layout,
     start: HermiteMesh,
+    outer: HermiteMesh,
     lattice: _Lattice,
     arrived: Array,
     fixed: NDArray[np.bool_],
@@ -409,6 +419,12 @@ def _fit_envelope(
     smoothing = Smoothing(first=1e-4, second=5e-3)
     place = PointTarget("envelope", lattice.elements, lattice.xi, arrived)
     mesh = fit(start, [place], smoothing, fixed, iterations=1).mesh
+    (first, last), (lowest, highest) = POCKET
+    elsewhere = np.ones((plan.n_nodes, 4, 3), dtype=bool)
+    elsewhere[plan.node[first : last + 1, lowest : highest + 1]] = False
+    place = replace(place, normals=lattice.inward(arrived), sliding=0.02)
+    evenly = replace(smoothing, second=5e-2, relative=outer)
+    mesh = fit(mesh, [place], evenly, fixed | plan.scatter(elsewhere), iterations=1).mesh
     elements, xi, _ = mesh.gauss_points(_FINE)
     targets = mesh.evaluate(elements, xi)
     for _ in range(40):
