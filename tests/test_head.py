@@ -116,6 +116,12 @@ def test_muscles_move_by_what_their_source_stands_outside(taro, name, outside):
     assert taro.about["quality"]["moved_rms_mm"][name] < outside + 0.15
 
 
+@needs_anatomy
+def test_gums_leave_depressor_septi_nasi_to_the_tissue(taro):
+    points = BodyParts3D(FOLDER).surface("depressor_septi_nasi").samples(0.4)
+    assert taro.distance("gums_upper").sample(points).distance.min() > 0.0
+
+
 def test_a_head_is_found_again_from_elsewhere(tmp_path, monkeypatch):
     (tmp_path / "taro").mkdir()
     monkeypatch.chdir(tmp_path)

@@ -158,8 +158,8 @@ _BEFORE, _AROUND = 6.0, 0.7
 def _bared(gums: DistanceGrid, muscle: Surface) -> DistanceGrid:
     """Return the distance to gums without what of them lies around and before a muscle.
 
-    The source's reach up to the spine of the nose and over the origin of depressor septi nasi,
-    where the vestibule of the mouth has long turned into the lip: the muscle lies in the tissue.
+    The source's reach up to the spine of the nose, far above the vestibule of the mouth, and over
+    the origin of depressor septi nasi, which is part of the tissue there.
     """
     body = DistanceGrid.of([muscle], 0.5)
     axes = [
