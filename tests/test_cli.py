@@ -121,6 +121,7 @@ def test_help_has_the_usual_values_of_the_settings(run):
         (["simulate", "sad", "--out", "/dev/null"], ["--out /dev/null", "cannot be written"]),
         (["simulate", "sad", "--out", "/proc/none"], ["--out /proc/none", "cannot be written"]),
         (["simulate", "sad", "--outt", "x"], ["--outt"]),
+        (["simulate", "sad", "--name", "a/b"], ["--name: 'a/b' cannot be a name", "letters"]),
         (["build", "nowhere"], ["nowhere"]),
         (["beam", "--angle", "steep"], ["--angle"]),
         (["beam", "--angle", "nan"], ["--angle nan"]),
@@ -271,16 +272,16 @@ def test_interruption_on_the_way_keeps_the_last_state(run, monkeypatch, tmp_path
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(Progress, "update", stop)
-    code, out, error = run("simulate", "--activation", "mentalis=0.1", "--json")
+    code, out, error = run("simulate", "--activation", "mentalis=0.1", "--name", "chin", "--json")
     assert code == 130 and out == ""
-    place = Path("out") / "custom-stopped"
+    place = Path("out") / "chin-stopped"
     words = r"modiolus: interrupted at (.+)% of the load; the state there is in (.+)"
     # Before it may stand that kernels are compiled.
     told = re.fullmatch(words, error.splitlines()[-1])
     assert told and told[2] == str(place)
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["custom-stopped"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["chin-stopped"]
     report = json.loads((tmp_path / place / "report.json").read_text())
-    assert report["converged"] is False
+    assert (report["expression"], report["converged"]) == ("chin", False)
     reached = 0.01 * float(told[1])
     assert report["activations"]["mentalis"] == pytest.approx(0.1 * reached, abs=1e-4)
     assert {path.name for path in (tmp_path / place).iterdir()} == {

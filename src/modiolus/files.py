@@ -32,7 +32,7 @@ def folder_name(where: str, name: object) -> str:
     """
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w.-]*", name):
         raise InputError(
-            f"{where}: name {name!r}; give it letters, digits, hyphens, dots or underscores"
+            f"{where}: {name!r} cannot be a name; use letters, digits, hyphens and dots"
         )
     return name
 

@@ -25,6 +25,7 @@ from modiolus.cli.app import (
 )
 from modiolus.cli.outputs import whole_folder
 from modiolus.errors import InputError, SolveError, Stopped
+from modiolus.files import folder_name
 from modiolus.progress import Interruption
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ MOST_NAMED = 4
         "modiolus simulate smile-closed",
         "modiolus simulate my.toml --json",
         "modiolus simulate --activation frontalis=0.3 --activation mentalis=0.5",
-        "modiolus simulate terror --jaw-open 12",
+        "modiolus simulate terror --jaw-open 12 --name scream",
         "modiolus simulate smile-closed --palsy right",
         "modiolus simulate --activation risorius=1 --from out/smile-closed",
         "modiolus simulate sad --set sigma_max=250 --set skin=0",
@@ -96,6 +97,15 @@ def simulate(
         ),
     ] = "",
     settings: Setting = [],  # noqa: B006
+    name: Annotated[
+        str,
+        typer.Option(
+            "--name",
+            metavar="NAME",
+            help="What the results and their shape key are called; as the expression by default.",
+            show_default=False,
+        ),
+    ] = "",
     head: HeadName = "taro",
     out: Out = Path("out"),
     as_json: Json = False,
@@ -118,11 +128,12 @@ def simulate(
         wanted = Expression(CUSTOM)
     else:
         raise InputError("EXPRESSION: none given; name one, a TOML file, or use --activation")
+    name = folder_name("--name", name) if name else wanted.name
     jaw = opening(wanted.jaw_open if jaw_open is None else jaw_open)
     chosen = Head.load(head)
     activations = resolve({**wanted.activations, **given}, chosen.muscles, palsy)
     parameters = face_settings(settings)
-    target = out / wanted.name
+    target = out / name
     earlier = _earlier(start, head, chosen) if start else None
     with whole_folder(target, marker="report.json") as folder:
         from modiolus.cli.run import Runner
@@ -132,15 +143,15 @@ def simulate(
         title = heading(wanted, given, jaw_open, palsy)
         begin = None if earlier is None else _begin(runner, earlier, start)
         try:
-            state = runner.solve(wanted.name, activations, jaw, begin)
+            state = runner.solve(name, activations, jaw, begin)
         except (LoadNotReached, Interrupted) as error:
             if error.reached == 0.0:
                 raise
             Interruption.heed()
-            place = _stopped(runner, error, wanted.name, title, target, began)
+            place = _stopped(runner, error, name, title, target, began)
             kind = SolveError if isinstance(error, LoadNotReached) else Stopped
             raise kind(f"{error}; the state there is in {place}") from None
-        record = runner.write(wanted.name, title, state, folder, target, began)
+        record = runner.write(name, title, state, folder, target, began)
     show(record, describe(record), as_json, quiet)
 
 

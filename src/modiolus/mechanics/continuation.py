@@ -262,10 +262,7 @@ class Continuation:
                 raise LoadNotReached(text, reached, self.state)
             if self.report is not None:
                 statistics = self.state.statistics
-                self.report(
-                    reached,
-                    f"load {reached:.0%}, J {statistics.J_min:.2f} to {statistics.J_max:.2f}",
-                )
+                self.report(reached, f"J {statistics.J_min:.2f} to {statistics.J_max:.2f}")
         self._press(steps, began, kept)
         return self.state
 
@@ -283,6 +280,8 @@ class Continuation:
                 if not worth and not (kept and done == 0):
                     break
                 least = overlap
+                if self.report is not None:
+                    self.report(1.0, f"pressing apart what overlaps by {overlap:.2f} mm")
                 pressed = self.problem.augment(self.state.parameters, self.state.load)
                 state = self._advance(pressed, settings.tolerance, settings.penetration)
                 self._keep(state, steps, began)
