@@ -115,8 +115,9 @@ ARCHES: dict[str, tuple[str, ...]] = {
     "lower_arch": ("teeth_lower", "gums_lower"),
 }
 #: Rounding (mm) of edges and clefts of what tissue touches: soft tissue bridges the clefts, and on
-#: sharp edges a mesh coarser than they are would catch.
+#: sharp edges a mesh coarser than they are would catch. A muscle gives way, its edges all the more.
 ROUNDING = 1.0
+SOFT_ROUNDING = {"masseter": 2.0}
 #: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
 #: lips and cheeks from the bone.
 VESTIBULE = 6.0
@@ -585,7 +586,9 @@ def _bodies(head: Head) -> dict[str, DistanceGrid]:
             parts[arch] = found
     # A ball has no clefts.
     return {
-        name: grids[0] if name == "eyeball" else DistanceGrid.rounded(grids, ROUNDING)
+        name: grids[0]
+        if name == "eyeball"
+        else DistanceGrid.rounded(grids, SOFT_ROUNDING.get(name, ROUNDING))
         for name, grids in parts.items()
     }
 

@@ -41,8 +41,9 @@ BEYOND = 1.0
 DEEPEST = 3.0
 #: Points farther than this (mm) from the master are not followed.
 FREE = 0.5
-#: Difference (mm) of the distances to two sides of a body below which they are blended.
-EDGE = 0.2
+#: Difference (mm) of the distances to two sides of a body below which they are blended. A quarter
+#: of it is cut off at an edge, which overlaps by that much unseen.
+EDGE = 0.16
 #: Widths of a patch beyond the master's border at which points far from all flanks are before them.
 ROOM = 0.1
 #: How many times a width beyond an edge to a neighbour counts, which is there to be met instead.
