@@ -42,9 +42,9 @@ _KNOWN = 20
 _STEP = 0.8
 #: Half width and half height (mm) of the window in which an eye is sought, its rays' spacing, and
 #: the step in depth a mm that bounds an opening.
-_EYE_WINDOW, _EYE_RAYS, _EYE_STEP = (24.0, 14.0), 0.25, 3.0
-#: Area (mm²) of an eye's opening.
-_EYE_AREA = (40.0, 500.0)
+_EYE_WINDOW, _EYE_RAYS, _EYE_STEP = (24.0, 28.0), 0.25, 3.0
+#: Area (mm²) of an eye's opening, and how far (mm) it is from its place in the head at most.
+_EYE_AREA, _EYE_AWAY = (40.0, 500.0), 20.0
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def _eye(surface: Surface, eye: Array) -> tuple[Array, Array] | None:
         if edge or not _EYE_AREA[0] < area < _EYE_AREA[1]:
             continue
         away = np.hypot(x[columns].mean() - eye[0], z[rows].mean() - eye[2])
-        if away < min(best, 15.0):
+        if away < min(best, _EYE_AWAY):
             best, found = away, patch
     if found is None:
         return None
