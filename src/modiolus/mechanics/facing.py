@@ -168,18 +168,16 @@ def _sampled(parameters: Any, patches: Any, extraction: Any) -> Any:
 
 
 @njit(cache=True)
-def _nearest(samples: Any, point: Any, seed: Any) -> Any:
-    """Write where the nearest sample of a patch is, and return the square of its distance."""
-    least = np.inf
+def _nearest(samples: Any, point: Any) -> Any:
+    """Return the squared distance of the nearest sample of a patch, and its number."""
+    least, nearest = np.inf, 0
     for q in range(SAMPLES * SAMPLES):
         d = 0.0
         for i in range(3):
             d += (point[i] - samples[q, i]) ** 2
         if d < least:
-            least = d
-            seed[0] = (q % SAMPLES + 0.5) / SAMPLES
-            seed[1] = (q // SAMPLES + 0.5) / SAMPLES
-    return least
+            least, nearest = d, q
+    return least, nearest
 
 
 @njit(cache=True)
@@ -204,6 +202,59 @@ def _height(values: Any, point: Any) -> Any:
     along = n0 * (point[0] - values[0, 0])
     along += n1 * (point[1] - values[0, 1]) + n2 * (point[2] - values[0, 2])
     return along / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+
+
+@njit(cache=True)
+def _distances(samples: Any, size: Any, point: Any, side: Any, near: Any) -> Any:
+    """Write the squared distance of each patch's nearest sample, and tell whether one is close."""
+    close = False
+    for c in range(len(side)):
+        f = side[c]
+        near[c] = _nearest(samples[f], point)[0]
+        close = close or near[c] < (size[f] + DEEPEST) ** 2
+    return close
+
+
+@njit(cache=True)
+def _closest_patch(
+    local: Any,
+    samples: Any,
+    size: Any,
+    sign: Any,
+    inner: Any,
+    point: Any,
+    side: Any,
+    near: Any,
+    beyond: Any,
+    xi: Any,
+) -> Any:
+    """Return the patch of a side that a point faces, its gap and how far outside the foot is.
+
+    The patches are tried in the order of their nearest sample, until none can be closer. The
+    foot is written to ``xi``; ``near`` is used up.
+    """
+    functions, values = np.empty((6, 16)), np.empty((6, 3))
+    trial = np.empty(2)
+    patch = -1
+    least = over = np.inf
+    for _ in range(len(side)):
+        first = np.argmin(near[: len(side)])
+        f = side[first]
+        if near[first] == np.inf or (over <= 1e-9 and near[first] > (abs(least) + size[f]) ** 2):
+            break
+        near[first] = np.inf
+        seed = _nearest(samples[f], point)[1]
+        trial[0], trial[1] = (seed % SAMPLES + 0.5) / SAMPLES, (seed // SAMPLES + 0.5) / SAMPLES
+        if not closest_of(local[f], point, trial, functions, values):
+            continue
+        out = _overhang(trial, inner[f])
+        if out > beyond:
+            continue
+        gap = sign[f] * _height(values, point)
+        if out < over - 1e-9 or (out <= 1e-9 and abs(gap) < abs(least)):
+            patch, least, over = f, gap, out
+            xi[:] = trial
+    return patch, least, over
 
 
 @njit(cache=True)
@@ -254,52 +305,36 @@ def project(
         that are far away.
     """
     local, samples, size = _sampled(parameters, patches, extraction)
-    functions, values = np.empty((6, 16)), np.empty((6, 3))
-    trial, found = np.empty(2), np.empty(2)
-    seed, nearest = np.empty((len(patches), 2)), np.empty(len(patches))
+    side, near = np.empty(candidates.shape[1], np.int64), np.empty(candidates.shape[1])
     host[:] = -1
     gap[:] = np.inf
     outside[:] = 0.0
     for p in range(len(points)):
-        for side in range(host.shape[1]):
-            close = False
-            for c in range(candidates.shape[1]):
-                f = candidates[p, c]
-                if f < 0 or part[f] != side:
-                    continue
-                nearest[f] = _nearest(samples[f], points[p], seed[f])
-                close = close or nearest[f] < (size[f] + DEEPEST) ** 2
-            # The patches in the order of their nearest sample, until none can be closer.
-            patch = -1
-            least = over = np.inf
-            for _ in range(candidates.shape[1] if close else 0):
-                chosen = -1
-                for c in range(candidates.shape[1]):
-                    f = candidates[p, c]
-                    if f < 0 or part[f] != side or nearest[f] == np.inf:
-                        continue
-                    if chosen < 0 or nearest[f] < nearest[chosen]:
-                        chosen = f
-                if chosen < 0:
-                    break
-                if over <= 1e-9 and nearest[chosen] > (abs(least) + size[chosen]) ** 2:
-                    break
-                nearest[chosen] = np.inf
-                trial[:] = seed[chosen]
-                if not closest_of(local[chosen], points[p], trial, functions, values):
-                    continue
-                out = _overhang(trial, inner[chosen])
-                if out > beyond:
-                    continue
-                g = sign[chosen] * _height(values, points[p])
-                if out < over - 1e-9 or (out <= 1e-9 and abs(g) < abs(least)):
-                    patch, least, over = chosen, g, out
-                    found[:] = trial
-            if patch >= 0:
-                gap[p, side], outside[p, side], xi[p, side] = least, over, found
-                host[p, side] = patch if least > -DEEPEST else -1
-            elif close:
-                outside[p, side] = np.inf
+        for s in range(host.shape[1]):
+            count = 0
+            for f in candidates[p]:
+                if f >= 0 and part[f] == s:
+                    side[count] = f
+                    count += 1
+            close = _distances(samples, size, points[p], side[:count], near)
+            if close:
+                chosen, least, over = _closest_patch(
+                    local,
+                    samples,
+                    size,
+                    sign,
+                    inner,
+                    points[p],
+                    side[:count],
+                    near,
+                    beyond,
+                    xi[p, s],
+                )
+                if chosen >= 0:
+                    gap[p, s], outside[p, s] = least, over
+                    host[p, s] = chosen if least > -DEEPEST else -1
+                else:
+                    outside[p, s] = np.inf
             if gap[p, 0] > FREE:
                 break
 
