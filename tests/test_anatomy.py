@@ -1,4 +1,5 @@
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from modiolus.anatomy import (
     deep_distances,
     read_surface,
 )
+from modiolus.anatomy.ply import read_ply
 from modiolus.anatomy.surface import check_face
 from modiolus.errors import InputError
 
@@ -103,6 +105,83 @@ def test_reader_merges_the_vertices_of_stl(tmp_path):
 
     pv.Box().triangulate().save(tmp_path / "box.stl")
     assert read_surface(tmp_path / "box.stl").vertices.shape == (8, 3)
+
+
+HEADER = (
+    "ply\nformat {} 1.0\ncomment made by hand\nelement vertex 5\nproperty float x\n"
+    "property double y\nproperty uchar red\nproperty float z\n{}element face {}\n"
+    "property list {} int vertex_indices\nproperty short part\nend_header\n"
+)
+ROWS = [
+    (0.0, 0.0, 9, 0.5),
+    (1.0, 0.0, 9, 0.5),
+    (1.0, 2.0, 9, 0.5),
+    (0.0, 2.0, 9, 0.5),
+    (3, 1, 9, 1),
+]
+KINDS = {"": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}
+
+
+def write_polygons(path, order, faces, grid="", counted="uchar"):
+    """Write the points of `ROWS` and some polygons; `grid` is an element of lists before them."""
+    lists = [] if not grid else [(), (7,), (), (8, 9)]
+    between = f"element {grid} {len(lists)}\nproperty list uchar int indices\n" if grid else ""
+    head = HEADER.format(KINDS[order], between, len(faces), counted)
+    if not order:
+        lines = [*ROWS, *((len(row), *row) for row in lists)]
+        lines += [(len(face), *face, 1) for face in faces]
+        body = "\n".join(" ".join(str(value) for value in line) for line in lines).encode()
+    else:
+        length = {"uchar": "B", "int": "i"}[counted]
+        body = b"".join(struct.pack(f"{order}fdBf", *row) for row in ROWS)
+        body += b"".join(struct.pack(f"{order}B{len(row)}i", len(row), *row) for row in lists)
+        for face in faces:
+            body += struct.pack(f"{order}{length}{len(face)}ih", len(face), *face, 1)
+    path.write_bytes(head.encode() + body)
+
+
+@pytest.mark.parametrize("order", KINDS)
+@pytest.mark.parametrize("grid", ["", "range_grid"])
+def test_polygons_of_any_size_and_byte_order_are_read(tmp_path, order, grid):
+    path = tmp_path / "face.ply"
+    write_polygons(path, order, [(0, 1, 2), (1, 4, 2)], grid)
+    points, polygons = read_ply(path)
+    assert_allclose(points, np.array(ROWS, dtype=float)[:, [0, 1, 3]])
+    assert polygons.tolist() == [3, 0, 1, 2, 3, 1, 4, 2]
+    # A line is no polygon.
+    write_polygons(path, order, [(0, 1, 2, 3), (3, 4), (1, 4, 2)], grid, "int")
+    assert read_ply(path)[1].tolist() == [4, 0, 1, 2, 3, 3, 1, 4, 2]
+    assert read_surface(path).area == pytest.approx(2.0 + 0.5 * np.hypot(4.0, 1.0))
+    write_polygons(path, order, [], grid)
+    assert len(read_ply(path)[1]) == 0
+
+
+@pytest.mark.parametrize("order", KINDS)
+def test_a_ply_that_promises_what_it_has_not_is_refused(tmp_path, order):
+    path = tmp_path / "face.ply"
+    for corner in (5, -1, 2**31 - 1):
+        write_polygons(path, order, [(0, 1, 2), (1, corner, 2)])
+        with pytest.raises(InputError, match=r"face\.ply: cannot be read"):
+            read_surface(path)
+    write_polygons(path, order, [(0, 1, 2), (1, 4, 2)])
+    whole = path.read_bytes()
+    for content in (
+        whole[:-5],
+        whole.replace(b"vertex 5", b"vertex -5"),
+        whole.replace(b"vertex 5", b"vertex 4000000000"),
+        whole.replace(b"float z", b"float w"),
+        whole.replace(b"float z", b"quad z"),
+        whole.replace(b"face 2", b"face 1e9"),
+        whole.replace(b"end_header", b"end_of_it"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ValueError):
+            read_ply(path)
+    # The length of a list is all bits, or negative, or no number.
+    bad = b"\xff" * 40 if order else b"3 0 nan 2 1\n"
+    path.write_bytes(whole[: whole.index(b"end_header\n") + 11] + bad * 60)
+    with pytest.raises(ValueError):
+        read_ply(path)
 
 
 def test_a_ply_with_other_line_ends_is_read(tmp_path):

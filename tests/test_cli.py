@@ -123,6 +123,7 @@ def test_help_has_the_usual_values_of_the_settings(run):
         (["simulate", "sad", "--outt", "x"], ["--outt"]),
         (["simulate", "sad", "--name", "a/b"], ["--name: 'a/b' cannot be a name", "letters"]),
         (["build", "nowhere"], ["nowhere"]),
+        (["upright", "taro-upright"], ["taro-upright: it stands already"]),
         (["beam", "--angle", "steep"], ["--angle"]),
         (["beam", "--angle", "nan"], ["--angle nan"]),
         (["beam", "--angle", "120"], ["--angle 120", "-90 to 90"]),
@@ -240,6 +241,12 @@ def test_a_result_that_is_doubtful_says_so():
     assert len(found) == 3
     assert found[0] == "parts that touch overlap by 2.5 mm"
     assert "20% of its volume" in found[1]
+
+
+def test_a_file_without_an_end_is_refused(run, tmp_path):
+    for name, arguments in (("my.toml", ["simulate"]), ("my.csv", ["identify", "--markers"])):
+        (tmp_path / name).symlink_to("/dev/zero")
+        assert_refused(run(*arguments, name), name, "more than 64 MiB")
 
 
 def test_quiet_says_nothing(run):

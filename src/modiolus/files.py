@@ -1,6 +1,7 @@
 """Files that a person gives, checked at the door."""
 
 import csv
+import io
 import math
 import re
 import tomllib
@@ -37,6 +38,18 @@ def folder_name(where: str, name: object) -> str:
     return name
 
 
+def _text(path: Path, encoding: str, mend: str) -> str:
+    """Return the text of a file; it may be a pipe, and may have no end."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_TABLE + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from None
+    if len(content) > _LARGEST_TABLE:
+        raise InputError(f"{path}: more than {_LARGEST_TABLE >> 20} MiB; {mend}")
+    return content.decode(encoding)
+
+
 def read_toml(path: Path, mend: str = "name a TOML file") -> dict[str, Any]:
     """Read a TOML file.
 
@@ -57,11 +70,7 @@ def read_toml(path: Path, mend: str = "name a TOML file") -> dict[str, Any]:
         It cannot be read, is too large or is not TOML.
     """
     try:
-        if path.stat().st_size > _LARGEST_TABLE:
-            raise InputError(f"{path}: more than {_LARGEST_TABLE >> 20} MiB; {mend}")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from None
+        return tomllib.loads(_text(path, "utf-8", mend))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not a TOML file ({error}); mend it") from None
 
@@ -81,25 +90,21 @@ def read_table(path: Path) -> list[tuple[int, dict[str, str]]]:
         It cannot be read, is too large or is no text.
     """
     try:
-        if path.stat().st_size > _LARGEST_TABLE:
-            raise InputError(f"{path}: more than {_LARGEST_TABLE >> 20} MiB; give a smaller table")
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file, strict=True)
-            columns = [name.strip() for name in next(reader, [])]
-            return [
-                (
-                    reader.line_num,
-                    {
-                        column: cell.strip()
-                        for column, cell in zip(columns, cells, strict=False)
-                        if cell.strip()
-                    },
-                )
-                for cells in reader
-                if any(cell.strip() for cell in cells)
-            ]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); name a CSV file") from None
+        text = _text(path, "utf-8-sig", "name a CSV file")
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+        columns = [name.strip() for name in next(reader, [])]
+        return [
+            (
+                reader.line_num,
+                {
+                    column: cell.strip()
+                    for column, cell in zip(columns, cells, strict=False)
+                    if cell.strip()
+                },
+            )
+            for cells in reader
+            if any(cell.strip() for cell in cells)
+        ]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: not a table of text ({error}); write it as CSV") from None
 

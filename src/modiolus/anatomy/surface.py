@@ -12,7 +12,6 @@ References
 from __future__ import annotations
 
 import logging
-import re
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from modiolus.anatomy.ply import read_ply
 from modiolus.errors import InputError
 from modiolus.hermite.check import numbers
 
@@ -34,7 +34,6 @@ __all__ = [
     "Closest",
     "Surface",
     "check_face",
-    "is_whole_ply",
     "read_surface",
 ]
 
@@ -342,8 +341,6 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
     from vtkmodules.vtkCommonCore import vtkLogger
 
     damaged = f"{path}: cannot be read as a surface; it may be truncated, fetch it again"
-    if path.suffix.lower() == ".ply" and not is_whole_ply(path):
-        raise InputError(damaged)
     logged = vtkLogger.GetCurrentVerbosityCutoff()
     try:
         # VTK's messages go to three places at once; one line from here is enough.
@@ -351,7 +348,8 @@ def read_surface(path: str | Path, name: str | None = None) -> Surface:
         with warnings.catch_warnings(), pv.VtkErrorCatcher(raise_errors=True):
             warnings.simplefilter("ignore")
             logging.disable(logging.ERROR)
-            mesh = pv.read(path).triangulate()
+            is_ply = path.suffix.lower() == ".ply"
+            mesh = (pv.PolyData(*read_ply(path)) if is_ply else pv.read(path)).triangulate()
         surface = Surface(mesh.points, mesh.regular_faces, name or path.stem)
     except (InputError, RuntimeError, ValueError, AttributeError) as error:
         raise InputError(damaged) from error
@@ -401,35 +399,3 @@ def check_face(where: str, points: np.ndarray) -> None:
     spread = np.linalg.svd(points - points.mean(axis=0), full_matrices=False, compute_uv=False)
     if spread[2] < 1e-3 * spread[0]:
         raise InputError(f"{where}: all points lie in a plane or on a line; give the whole scan")
-
-
-def is_whole_ply(path: Path) -> bool:
-    """Tell whether a PLY file has the content that its header promises.
-
-    Libraries are known to bring the process down on a truncated one, VTK and libigl among them.
-    """
-    content = path.read_bytes()
-    end = re.search(rb"\bend_header\r?\n", content)
-    if end is None or not content.startswith(b"ply"):
-        return False
-    head, body = content[: end.start()], content[end.end() :]
-    sizes = {"char": 1, "short": 2, "int": 4, "float": 4, "double": 8}
-    sizes |= {f"u{name}": sizes[name] for name in ("char", "short", "int")}
-    sizes |= {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4}
-    sizes |= {"float32": 4, "float64": 8}
-    ascii_body = False
-    needed = count = 0
-    try:
-        for words in (line.split() for line in head.decode("ascii").splitlines()):
-            if words[:1] == ["format"]:
-                ascii_body = words[1] == "ascii"
-            elif words[:1] == ["element"]:
-                count = int(words[2])
-            elif words[:2] == ["property", "list"]:
-                # A list is at least a triangle: what has less is no surface.
-                needed += count * (4 if ascii_body else sizes[words[2]] + 3 * sizes[words[3]])
-            elif words[:1] == ["property"]:
-                needed += count * (1 if ascii_body else sizes[words[1]])
-    except (IndexError, KeyError, ValueError):
-        return False
-    return (len(body.split()) if ascii_body else len(body)) >= needed

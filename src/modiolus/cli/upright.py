@@ -19,6 +19,9 @@ from modiolus.progress import Progress
 if TYPE_CHECKING:
     from modiolus.face.head import Head
 
+#: What the provenance of a head says that was turned.
+_STANDING = "standing"
+
 
 @app.command(epilog=examples("modiolus upright taro --out heads/taro-upright"))
 def upright(
@@ -60,6 +63,8 @@ def upright(
     from modiolus.view.face import draw_face
 
     source = Head.load(head)
+    if _STANDING in source.about.get("provenance", {}):
+        raise InputError(f"{head}: it stands already; name a head that was measured lying face up")
     name = folder_name("--out", out.resolve().name)
     with whole_folder(out, marker="head.toml") as folder:
         with Progress(f"turning {source.name} upright", quiet=quiet) as progress:
@@ -75,7 +80,7 @@ def upright(
         }
         if "provenance" in about:
             shape = f"{INFERRED}: by mechanics from {source.name}, taken as lying"
-            about["provenance"] = {**about["provenance"], "standing": shape}
+            about["provenance"] = {**about["provenance"], _STANDING: shape}
         standing = replace(found.head, name=name, about=about)
         standing.save(folder)
         draw_face(

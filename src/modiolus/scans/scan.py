@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..anatomy.surface import Surface, check_face, is_whole_ply, read_surface
+from ..anatomy.ply import read_ply
+from ..anatomy.surface import Surface, check_face, read_surface
 from ..errors import InputError, unknown_name
 from ..fitting.register import UNITS, Registration
 from .cloud import wrapped
@@ -228,7 +228,13 @@ def read_scan(path: str | Path) -> Scan:
     if suffix in _CLOUDS:
         return _cloud(path, _read_rows(path))
     if suffix == ".ply" and _is_cloud(path):
-        return _cloud(path, _read_ply_points(path))
+        try:
+            points, _ = read_ply(path)
+        except ValueError as error:
+            raise InputError(
+                f"{path}: cannot be read as a cloud ({error}); it may be truncated, fetch it again"
+            ) from None
+        return _cloud(path, points.astype(float))
     surface = read_surface(path)
     _check(path, surface.vertices)
     surface = _tidied(surface, path.name)
@@ -259,20 +265,6 @@ def _is_cloud(path: Path) -> bool:
         head = file.read(1 << 16).partition(b"end_header")[0]
     found = re.search(rb"element\s+face\s+(\d+)", head)
     return b"element vertex" in head and (found is None or int(found[1]) == 0)
-
-
-def _read_ply_points(path: Path) -> Array:
-    import pyvista as pv
-
-    damaged = f"{path}: cannot be read as a cloud; it may be truncated, fetch it again"
-    if not is_whole_ply(path):
-        raise InputError(damaged)
-    try:
-        with warnings.catch_warnings(), pv.VtkErrorCatcher(raise_errors=True):
-            warnings.simplefilter("ignore")
-            return np.asarray(pv.read(path).points, dtype=float)
-    except (RuntimeError, ValueError, AttributeError) as error:
-        raise InputError(damaged) from error
 
 
 def _read_rows(path: Path) -> Array:
