@@ -339,16 +339,20 @@ def test_lost_interruption_is_raised_again(tmp_path, monkeypatch):
 
 
 def test_progress_tells_the_time_left_once_it_knows(monkeypatch):
-    clock = iter([0.0, 0.0, 10.0, 20.0, 40.0])
+    clock = iter([0.0, 0.0, 10.0, 20.0, 40.0, 41.0, 47.0])
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     stream = io.StringIO()
     with Progress("solving", stream=stream) as progress:
         for done in (0.05, 0.5, 1.0):
             progress.update(done, "on the way")
+        # What still goes on when all is done is told as seldom as before.
+        progress.update(1.0, "polishing")
+        progress.update(1.0, "still polishing")
     assert stream.getvalue().splitlines() == [
         "solving   5% · on the way",
         "solving  50% · on the way · 20 s left",
         "solving 100% · on the way · 40 s",
+        "solving 100% · still polishing · 47 s",
     ]
 
 

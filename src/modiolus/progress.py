@@ -87,6 +87,7 @@ class Progress:
         self._terminal = not quiet and self._stream.isatty()
         self._started = self._shown = self._now()
         self._width = 0
+        self._finished = False
 
     def update(self, done: float, message: str = "") -> None:
         """Say how much of the work is done.
@@ -106,8 +107,10 @@ class Progress:
         Interruption.check()
         now = self._now()
         pause = 0.1 if self._terminal else _SECONDS_BETWEEN_LINES
-        if self.quiet or (now - self._shown < pause and done < self.total):
+        finished = done >= self.total and not self._finished
+        if self.quiet or (now - self._shown < pause and not finished):
             return
+        self._finished = done >= self.total
         self._shown = now
         elapsed = now - self._started
         share = min(max(done / self.total, 0.0), 1.0) if self.total > 0 else 1.0

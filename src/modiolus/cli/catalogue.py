@@ -41,11 +41,12 @@ def catalogue(
 
         runner = Runner(chosen, quiet, head, parameters)
         runs, states, short = [], [], []
-        for muscle in chosen.muscles.values():
+        for number, muscle in enumerate(chosen.muscles.values(), 1):
             began = time.perf_counter()
             activation = ALONE[muscle.kind]
             try:
-                state = runner.solve(muscle.name, {muscle.name: activation})
+                count = f"{number} of {len(chosen.muscles)}"
+                state = runner.solve(f"{muscle.name}, {count}", {muscle.name: activation})
             except LoadNotReached as error:
                 state = error.state.short()
                 activation *= error.reached

@@ -65,13 +65,13 @@ class Runner:
 
     def solve(
         self,
-        name: str,
+        title: str,
         activations: Mapping[str, float],
         jaw_open: float = 0.0,
         start: State | None = None,
     ) -> State:
         """Follow the face to a load and show how far it is; see `modiolus.mechanics.face.Face`."""
-        with Progress(f"solving {name}", quiet=self.quiet) as progress:
+        with Progress(f"solving {title}", quiet=self.quiet) as progress:
             return self.face.solve(activations, jaw_open, start, progress.update)
 
     def write(
