@@ -43,8 +43,17 @@ _FIRST_STEP, _LARGEST_STEP = 0.35, 0.6
 #: The iterations end when no unknown changes by more than the first (of its scale) and the pose by
 #: no more than the second (mm), or the error falls by less than the third of what it scatters.
 _SMALL_STEP, _SMALL_SHIFT, _SMALL_GAIN = 0.003, 0.01, 0.03
-#: Solves from a state nearby, without pressing contacts apart.
-_WARM = Settings(first_step=1.0, tolerance=1e-3, passing=1e-2, augmentations=0)
+#: Solves from a state nearby, without pressing contacts apart. A trial that is hard to reach is
+#: given up for a shorter one.
+_WARM = Settings(
+    first_step=1.0,
+    tolerance=1e-3,
+    passing=1e-2,
+    max_steps=12,
+    max_iterations=15,
+    max_jumps=0,
+    augmentations=0,
+)
 #: Weight of the squared distance (mm) by which the face is moved off the pose that it was given:
 #: it is believed to a millimetre, and to a tenth where it is known. Were that free, it would take
 #: over motion of the skin.
