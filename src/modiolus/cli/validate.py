@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +19,11 @@ from modiolus.files import folder_name
 from modiolus.progress import Progress
 
 if TYPE_CHECKING:
+    from modiolus.face.head import Head
+    from modiolus.scans.compare import Comparison
+    from modiolus.scans.identify import Identification
     from modiolus.scans.scan import Scan
+    from modiolus.scans.skin import Skin
 
 #: Root mean square errors that Wu et al. (2013) report, with activations set by hand (mm).
 PAPER = {"smile-closed": 0.88, "smile-open": 0.93, "sad": 1.43, "terror": 1.40}
@@ -181,9 +186,9 @@ class _Table:
 
     def __init__(
         self,
-        head: Any,
-        skin: Any,
-        neutral: Any,
+        head: Head,
+        skin: Skin,
+        neutral: Scan,
         further: list[str],
         draft: Path,
         target: Path,
@@ -196,10 +201,10 @@ class _Table:
         self.draft, self.target, self.quiet = draft, target, quiet
         self.face, self.scene = Face(head), FaceScene(head)
         self.rows: list[dict[str, Any]] = []
-        self._found: dict[str, Any] = {}
+        self._found: dict[str, Identification] = {}
         self._pictures: list[tuple[str, Path]] = []
 
-    def add(self, name: str, scan: Any, way: str) -> None:
+    def add(self, name: str, scan: Scan, way: str) -> None:
         """Compute one expression in one way."""
         began = time.perf_counter()
         title = f"{name}, {way}"
@@ -223,8 +228,8 @@ class _Table:
         self.rows[-1]["picture"] = str(self.target / picture.name)
 
     def _solve(
-        self, name: str, scan: Any, way: str, progress: Progress
-    ) -> tuple[Any, Any, float, dict[str, Any]]:
+        self, name: str, scan: Scan, way: str, progress: Progress
+    ) -> tuple[Comparison, np.ndarray, float, dict[str, Any]]:
         """Return comparison, parameters, angle of the jaw, and further figures of a row."""
         from modiolus.face.expression import Expression, resolve
         from modiolus.face.jaw import opening
@@ -260,40 +265,26 @@ class _Table:
         jaw = result.state.load.jaw
         return found, result.state.parameters, jaw, {"values": facts.pop("activations"), **facts}
 
-    def _row(self, name: str, way: str, found: Any, began: float) -> dict[str, Any]:
+    def _row(self, name: str, way: str, found: Comparison | None, began: float) -> dict[str, Any]:
         seconds = round(time.perf_counter() - began, 1)
         row: dict[str, Any] = {"expression": name, "activations": way}
         keys = ("rms_mm", "moved_rms_mm", "still_rms_mm", "explained", "p95_mm", "max_mm")
         if found is None:
             return row | dict.fromkeys(keys) | {"seconds": seconds}
         facts = found.as_dict()
-        matched = facts["matched"]
-        row |= {
-            "rms_mm": facts["error"]["rms_mm"],
-            "moved_rms_mm": facts["moved"]["rms_mm"],
-            "still_rms_mm": facts["still"]["rms_mm"],
-            "explained": facts["explained"],
+        return row | {
+            **_figures(facts),
             "p95_mm": facts["error"]["p95_mm"],
             "max_mm": facts["error"]["max_mm"],
             "seconds": seconds,
-            "still_moved_rms_mm": facts["still_moved"]["rms_mm"],
             "shape_rms_mm": facts["rest"]["rms_mm"],
             "reverse_rms_mm": facts["reverse"]["rms_mm"],
             "coverage": facts["coverage"],
             "regions": {
                 region: values["error"]["rms_mm"] for region, values in facts["regions"].items()
             },
-            "matched": None,
+            "matched": None if facts["matched"] is None else _figures(facts["matched"]),
         }
-        if matched is not None:
-            row["matched"] = {
-                "rms_mm": matched["error"]["rms_mm"],
-                "moved_rms_mm": matched["moved"]["rms_mm"],
-                "still_rms_mm": matched["still"]["rms_mm"],
-                "still_moved_rms_mm": matched["still_moved"]["rms_mm"],
-                "explained": matched["explained"],
-            }
-        return row
 
     def write_page(self, path: Path) -> str:
         """Write the page with all pictures, and return the table as text."""
@@ -326,3 +317,14 @@ class _Table:
         title = f"{self.head.name}: computed against measured expressions"
         write_page(path, title, notes, [("Table", headings, lines)], self._pictures)
         return text_table(headings, lines)
+
+
+def _figures(facts: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return what the table tells of one way to measure the distance."""
+    return {
+        "rms_mm": facts["error"]["rms_mm"],
+        "moved_rms_mm": facts["moved"]["rms_mm"],
+        "still_rms_mm": facts["still"]["rms_mm"],
+        "still_moved_rms_mm": facts["still_moved"]["rms_mm"],
+        "explained": facts["explained"],
+    }

@@ -146,37 +146,12 @@ class _Writer:
         """Add a shape as a node of its own."""
         gltf = self.gltf
         normals = vertex_normals(shape.vertices, shape.faces) @ _TO_GLTF
-        attributes = pygltflib.Attributes(
-            POSITION=self.vectors(shape.vertices @ _TO_GLTF * _MM_TO_M, bounds=True),
-            NORMAL=self.vectors(normals),
-        )
-        colour = np.asarray(shape.colour, dtype=float)
-        if colour.ndim == 2:
-            attributes.COLOR_0 = self.vectors(linear_light(colour))
-            colour = np.ones(3)
-        if shape.layout is not None:
-            # glTF counts v from the upper edge of a texture.
-            down = np.ascontiguousarray(shape.layout * [1, -1] + [0, 1], dtype=np.float32)
-            attributes.TEXCOORD_0 = self.accessor(
-                down, pygltflib.VEC2, pygltflib.ARRAY_BUFFER, False
-            )
+        attributes = self._attributes(shape, normals)
+        morphs = self._morphs(shape, normals, targets, between)
         triangles = np.ascontiguousarray(shape.faces, dtype=np.uint32).reshape(-1)
-        changes: dict[str, tuple[Array, Array]] = {}
-        for name, vertices in targets.items():
-            numbers(name, vertices, *shape.vertices.shape)
-            moved = (vertices - shape.vertices) @ _TO_GLTF * _MM_TO_M
-            changes[name] = moved, vertex_normals(vertices, shape.faces) @ _TO_GLTF - normals
-        morphs = []
-        for name, (moved, turned) in changes.items():
-            if name in between:
-                whole, share = between[name]
-                if whole not in changes:
-                    raise InputError(f"{name}: in-between of {whole}, which is no target; add it")
-                moved = moved - share * changes[whole][0]
-                turned = turned - share * changes[whole][1]
-            morphs.append(
-                {"POSITION": self.vectors(moved, bounds=True), "NORMAL": self.vectors(turned)}
-            )
+        # Colours of vertices are factors, too.
+        single = np.asarray(shape.colour, dtype=float)
+        colour = single if single.ndim == 1 else np.ones(3)
         gltf.materials.append(
             pygltflib.Material(
                 name=shape.name,
@@ -207,6 +182,48 @@ class _Writer:
             )
         )
         gltf.nodes.append(pygltflib.Node(name=shape.name, mesh=len(gltf.meshes) - 1))
+
+    def _attributes(self, shape: Shape, normals: Array) -> pygltflib.Attributes:
+        """Append what is known of every vertex at rest; ``normals`` (n, 3) are those of glTF."""
+        attributes = pygltflib.Attributes(
+            POSITION=self.vectors(shape.vertices @ _TO_GLTF * _MM_TO_M, bounds=True),
+            NORMAL=self.vectors(normals),
+        )
+        if np.ndim(shape.colour) == 2:
+            attributes.COLOR_0 = self.vectors(linear_light(np.asarray(shape.colour, dtype=float)))
+        if shape.layout is not None:
+            # glTF counts v from the upper edge of a texture.
+            down = np.ascontiguousarray(shape.layout * [1, -1] + [0, 1], dtype=np.float32)
+            attributes.TEXCOORD_0 = self.accessor(
+                down, pygltflib.VEC2, pygltflib.ARRAY_BUFFER, False
+            )
+        return attributes
+
+    def _morphs(
+        self,
+        shape: Shape,
+        normals: Array,
+        targets: Mapping[str, Array],
+        between: Mapping[str, tuple[str, float]],
+    ) -> list[dict[str, int]]:
+        """Append how each target differs from rest, an in-between from its share of the whole."""
+        changes: dict[str, tuple[Array, Array]] = {}
+        for name, vertices in targets.items():
+            numbers(name, vertices, *shape.vertices.shape)
+            moved = (vertices - shape.vertices) @ _TO_GLTF * _MM_TO_M
+            changes[name] = moved, vertex_normals(vertices, shape.faces) @ _TO_GLTF - normals
+        morphs = []
+        for name, (moved, turned) in changes.items():
+            if name in between:
+                whole, share = between[name]
+                if whole not in changes:
+                    raise InputError(f"{name}: in-between of {whole}, which is no target; add it")
+                moved = moved - share * changes[whole][0]
+                turned = turned - share * changes[whole][1]
+            morphs.append(
+                {"POSITION": self.vectors(moved, bounds=True), "NORMAL": self.vectors(turned)}
+            )
+        return morphs
 
     def animate(self, times: Array, weights: Array) -> None:
         """Let the targets have weights (m, n) at times (m,) in seconds."""

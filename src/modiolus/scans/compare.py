@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,10 +109,10 @@ class Measure:
         still = self.of(self.still, self.moved).rms
         return 1.0 - self.of(self.error, self.moved).rms / still if still > 0.0 else float("nan")
 
-    def as_dict(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, Any]:
         """Return all figures for a report."""
         everywhere = np.ones(len(self.error), dtype=bool)
-        regions: dict[str, object] = {}
+        regions: dict[str, Any] = {}
         for number, name in enumerate(REGIONS):
             here = self.region == number
             if (here & self.covered).any():
@@ -162,7 +163,7 @@ class Comparison:
         weight = self.distances.weight
         return float(weight[self.distances.covered].sum() / weight.sum())
 
-    def as_dict(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, Any]:
         """Return all figures for a report."""
         return {
             **self.distances.as_dict(),
