@@ -17,7 +17,7 @@ from modiolus.anatomy import BodyParts3D
 from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.face.build import build_head, skin_error
-from modiolus.face.differences import differences
+from modiolus.face.differences import differences, differences_text
 from modiolus.face.embed import bring_inside, inside_fraction
 from modiolus.face.head import Head, head_names, lasting_name
 from modiolus.face.muscle import Muscle
@@ -140,6 +140,12 @@ def test_heads_are_compared_part_by_part(taro):
     found = {(item.kind, item.part): item for item in differences(taro, other)}
     assert_allclose(found["muscle", "risorius"].greatest, 0.5, atol=1e-6)
     assert found["attachment", "mentalis"].greatest == np.inf
+    _, *shown, rest = differences_text(list(found.values())).splitlines()
+    assert [line.split()[:3] for line in shown] == [
+        ["risorius", "muscle", "0.5000"],
+        ["mentalis", "attachment", "inf"],
+    ]
+    assert rest == f"{len(found) - 2} more are alike."
     del found["muscle", "risorius"], found["attachment", "mentalis"]
     kinds = {item.kind for item in found.values()}
     assert kinds == {"tissue", "muscle", "deep", "field", "attachment", "insertion", "sheet"}

@@ -125,10 +125,11 @@ def _springs(
 
 
 def differences_text(found: list[Difference]) -> str:
-    """Return differences as a table of plain text."""
+    """Return differences as a table of plain text; what is alike to its digits is but counted."""
+    apart = [item for item in found if item.greatest >= 5e-5]
     lines = [f"{'part':40} {'kind':10} {'greatest':>9} {'rms':>9}  unit"]
     lines += [
         f"{item.part:40} {item.kind:10} {item.greatest:9.4f} {item.rms:9.4f}  {item.unit}"
-        for item in found
+        for item in apart
     ]
-    return "\n".join(lines)
+    return "\n".join([*lines, f"{len(found) - len(apart)} more are alike."])
