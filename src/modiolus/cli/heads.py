@@ -56,7 +56,7 @@ def heads(
                 str(item["name"]),
                 *(f"  {key:8} {item[key]}" for key in fields if key in item),
                 f"  skin     {_fit(item.get('quality', {}))}",
-                *provenance_lines(item),
+                *provenance_lines(item, most=5),
             ]
         )
         for item in found
