@@ -172,6 +172,20 @@ def test_the_line_of_the_lips_is_found_beside_a_hole(hole: float) -> None:
     np.testing.assert_allclose(y, x**2 / 120.0 + 1.5, atol=0.3)
 
 
+def test_the_line_of_parted_lips_is_found_on_one_side_alone() -> None:
+    """Rays meet nothing between the lips, nor beyond the edge, 2 mm before the mid-plane."""
+    whole = lips()
+    x, _, z = whole.vertices.T
+    kept = (x > 2.0) & ~((np.abs(z - 0.05 * x) < 0.5) & (x < 18.0))
+    half = whole.picked(whole.faces[kept[whole.faces].all(axis=1)])
+    found = find_margins([half, half.mirrored(0.0)], np.zeros(3), np.array([30.0, 0.0, 30.0]))
+    assert found.lips is not None
+    x, _, z = found.lips.T
+    assert x[0] == 0.0
+    assert x[-1] == pytest.approx(24.0, abs=0.6)
+    np.testing.assert_allclose(z, 0.05 * np.maximum(x, 2.0), atol=0.25)
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
-from scipy.ndimage import label
+from scipy.ndimage import label, maximum_filter
 
 from ..anatomy.surface import Surface
 from ..hermite.basis import Array
@@ -36,8 +36,8 @@ _HOLE = 6.0
 #: Steepest slope of the parting line, the cost of a step up or down (mm of sharpness a mm²), and
 #: the weight of its bend.
 _SLOPE, _STEP_COST, _BEND = 2.0, 0.3, 10.0
-#: Columns in which the line must be known.
-_KNOWN = 20
+#: Columns in which the line must be known, and how far (mm) from the mid-plane it may begin.
+_KNOWN, _CUT = 20, 6.0
 #: A depth step a ray (mm) at which the surface hides what is behind.
 _STEP = 0.8
 #: Half width and half height (mm) of the window in which an eye is sought, its rays' spacing, and
@@ -113,17 +113,15 @@ def _sharpness(depth: Array) -> Array:
 
 
 def _in_holes(seen: Array) -> NDArray[np.bool_]:
-    """Return which places of a raster are in a hole of the scan, or too near to one."""
-    patches, count = label(np.isnan(seen))
-    out = np.zeros(seen.shape, dtype=bool)
-    for number in range(1, count + 1):
-        rows = np.flatnonzero((patches == number).any(axis=0))
-        # The gap between two lips is low.
-        if np.ptp(rows) * _UP > _HOLE:
-            out |= patches == number
-    arm = round(_ARM / _UP)
-    wide = np.pad(out, ((0, 0), (arm, arm)))
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(wide, 2 * arm + 1, 1).any(axis=-1))
+    """Return which places of a raster are in a hole of the scan, or too near to one.
+
+    The gap between two lips is low, also where it opens into a hole or beyond the scan's edge.
+    """
+    runs, _ = label(np.isnan(seen), [[0, 0, 0], [1, 1, 1], [0, 0, 0]])
+    high = np.bincount(runs.ravel()) * _UP > _HOLE
+    high[0] = False
+    around = (2 * round(_ARM / _ACROSS) + 1, 2 * round(_ARM / _UP) + 1)
+    return np.asarray(maximum_filter(high[runs], around, mode="nearest"))
 
 
 def _mouth(surfaces: Sequence[Surface], mouth: Array) -> Array | None:
@@ -150,8 +148,11 @@ def _mouth(surfaces: Sequence[Surface], mouth: Array) -> Array | None:
         ]
         if found and sharp[k, row] > _FADED:
             line.append(np.array([x[k], *np.mean(found, axis=0)]))
-    if len(line) < _KNOWN:
+    if len(line) < _KNOWN or line[0][0] - x[0] > _CUT:
         return None
+    if line[0][0] > x[0]:
+        # A scan of one side may end before the mid-plane, where the line is level.
+        line.insert(0, np.array([x[0], *line[0][1:]]))
     # Rays fall on one lip or the other, and on the steps of the scan: the line itself is smooth.
     along, back, up = np.array(line).T
     smooth = [make_smoothing_spline(along, part, lam=_BEND)(along) for part in (back, up)]
