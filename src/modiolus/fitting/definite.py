@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import sys
+import contextlib
 import weakref
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from ..hermite.basis import Array
+from ..mkl import pardiso
 
 
 class Definite:
@@ -26,8 +25,9 @@ class Definite:
 
     def __init__(self) -> None:
         self._structure: tuple[NDArray[np.int32], NDArray[np.int32]] | None = None
-        self._pardiso = _pardiso()
-        if self._pardiso is not None:
+        self._pardiso: Any = None
+        with contextlib.suppress(ImportError, OSError):
+            self._pardiso = pardiso(2)
             # MKL's memory is not Python's to collect.
             weakref.finalize(self, self._pardiso.free_memory, everything=True)
 
@@ -67,16 +67,3 @@ class Definite:
         # Phases 2 and 3 factorise and solve; phase 1 before them orders.
         self._pardiso.set_phase(23 if known else 13)
         return np.asarray(self._pardiso._call_pardiso(upper, right))
-
-
-def _pardiso() -> Any:
-    """Return the binding of PARDISO, or None where MKL cannot be loaded."""
-    # Otherwise it asks the system's linker and searches the whole environment.
-    for library in sorted(Path(sys.prefix).glob("lib/libmkl_rt*")):
-        os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
-    try:
-        from pypardiso import PyPardisoSolver
-
-        return PyPardisoSolver(mtype=2)
-    except (ImportError, OSError):
-        return None

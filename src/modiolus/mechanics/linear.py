@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import sys
 import warnings
 import weakref
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,6 +12,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from ..errors import SolveError
+from ..mkl import pardiso
 from .laws import Array
 
 
@@ -56,12 +54,7 @@ class Pardiso:
     negative_pivots: int | None
 
     def __init__(self, single: bool = True) -> None:
-        # Otherwise the binding asks the system's linker and searches the whole environment.
-        for library in sorted(Path(sys.prefix).glob("lib/libmkl_rt*")):
-            os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
-        from pypardiso import PyPardisoSolver
-
-        self._pardiso = PyPardisoSolver(mtype=-2)
+        self._pardiso = pardiso(-2)
         for index, value in {
             1: 1,  # the settings below, not the defaults
             2: 2,  # nested dissection
