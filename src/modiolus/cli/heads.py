@@ -101,7 +101,9 @@ def head_show(
     target = out / f"head-{chosen.name}"
     with whole_folder(target, marker="muscles.png") as folder:
         heading = f"Muscles of the left side · {chosen.name}"
-        draw_muscles(chosen, heading, folder / "muscles.png")
+        with Progress(f"drawing {len(chosen.muscles)} muscles", quiet=quiet) as progress:
+            draw_muscles(chosen, heading, folder / "muscles.png")
+            progress.update(1.0)
     record = {
         "head": chosen.name,
         "elements": chosen.tissue.n_elements,
