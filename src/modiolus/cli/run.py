@@ -94,14 +94,18 @@ class Runner:
         rest, moved = self.head.tissue.parameters, state.parameters
         jaw = state.load.jaw
         heading = f"{title or name} · {self.head.name}"
-        draw_face(self.scene, rest, moved, heading, folder / "face.png", jaw)
-        write_glb(
-            folder / "face.glb",
-            self.scene.shapes(rest),
-            self.scene.targets({name: (moved, jaw)}),
-            str(self.head.about.get("attribution", "")),
-        )
-        self._write_tissue(state, folder / "tissue.vtu")
+        with Progress(f"drawing {name}", quiet=self.quiet) as progress:
+            draw_face(self.scene, rest, moved, heading, folder / "face.png", jaw)
+            progress.update(0.6, "model for animation")
+            write_glb(
+                folder / "face.glb",
+                self.scene.shapes(rest),
+                self.scene.targets({name: (moved, jaw)}),
+                str(self.head.about.get("attribution", "")),
+            )
+            progress.update(0.8, "tissue")
+            self._write_tissue(state, folder / "tissue.vtu")
+            progress.update(1.0)
         save_state(
             folder / STATE_FILE,
             name,
