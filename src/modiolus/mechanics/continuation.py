@@ -29,8 +29,6 @@ EASY = 8.0
 CHANGE = 0.7, 2.5
 #: Parts of a correction that the next may have for the factors to stay: above and below tolerance.
 GOOD, FAIR = 0.4, 0.7
-#: Part of an overlap that may be left when contacts are pressed once more, for it to be worth it.
-PRESSED = 0.9
 #: Damping, in multiples of the first diagonal: below the least there is none; the first where the
 #: tangent leads astray; beyond the most a step, or a relaxation, is given up.
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING, MOST_VISCOSITY = 0.03, 0.1, 20.0, 1e4
@@ -267,19 +265,16 @@ class Continuation:
         return self.state
 
     def _press(self, steps: int, began: float, kept: bool) -> None:
-        """Press contacts apart as long as they overlap and that helps (Uzawa's method).
+        """Press contacts apart as long as they overlap (Uzawa's method).
 
         Where they are pressed as they were in an earlier state, once at least.
         """
         settings = self.settings
-        least = math.inf
         try:
             for done in range(settings.augmentations):
                 overlap = self.state.statistics.max_penetration_mm
-                worth = settings.penetration < overlap < PRESSED * least
-                if not worth and not (kept and done == 0):
+                if overlap <= settings.penetration and not (kept and done == 0):
                     break
-                least = overlap
                 if self.report is not None:
                     self.report(1.0, f"pressing apart what overlaps by {overlap:.2f} mm")
                 pressed = self.problem.augment(self.state.parameters, self.state.load)
