@@ -205,12 +205,12 @@ def _height(values: Any, point: Any) -> Any:
 
 
 @njit(cache=True)
-def _distances(samples: Any, size: Any, point: Any, side: Any, near: Any) -> Any:
-    """Write the squared distance of each patch's nearest sample, and tell whether one is close."""
+def _distances(samples: Any, size: Any, point: Any, side: Any, near: Any, seed: Any) -> Any:
+    """Write each patch's nearest sample and its squared distance, and tell whether one is close."""
     close = False
     for c in range(len(side)):
         f = side[c]
-        near[c] = _nearest(samples[f], point)[0]
+        near[c], seed[c] = _nearest(samples[f], point)
         close = close or near[c] < (size[f] + DEEPEST) ** 2
     return close
 
@@ -218,13 +218,13 @@ def _distances(samples: Any, size: Any, point: Any, side: Any, near: Any) -> Any
 @njit(cache=True)
 def _closest_patch(
     local: Any,
-    samples: Any,
     size: Any,
     sign: Any,
     inner: Any,
     point: Any,
     side: Any,
     near: Any,
+    seed: Any,
     beyond: Any,
     xi: Any,
 ) -> Any:
@@ -238,13 +238,13 @@ def _closest_patch(
     patch = -1
     least = over = np.inf
     for _ in range(len(side)):
-        first = np.argmin(near[: len(side)])
+        first = np.argmin(near)
         f = side[first]
         if near[first] == np.inf or (over <= 1e-9 and near[first] > (abs(least) + size[f]) ** 2):
             break
         near[first] = np.inf
-        seed = _nearest(samples[f], point)[1]
-        trial[0], trial[1] = (seed % SAMPLES + 0.5) / SAMPLES, (seed // SAMPLES + 0.5) / SAMPLES
+        trial[0] = (seed[first] % SAMPLES + 0.5) / SAMPLES
+        trial[1] = (seed[first] // SAMPLES + 0.5) / SAMPLES
         if not closest_of(local[f], point, trial, functions, values):
             continue
         out = _overhang(trial, inner[f])
@@ -305,7 +305,8 @@ def project(
         that are far away.
     """
     local, samples, size = _sampled(parameters, patches, extraction)
-    side, near = np.empty(candidates.shape[1], np.int64), np.empty(candidates.shape[1])
+    width = candidates.shape[1]
+    side, near, seed = np.empty(width, np.int64), np.empty(width), np.empty(width, np.int64)
     host[:] = -1
     gap[:] = np.inf
     outside[:] = 0.0
@@ -316,19 +317,10 @@ def project(
                 if f >= 0 and part[f] == s:
                     side[count] = f
                     count += 1
-            close = _distances(samples, size, points[p], side[:count], near)
-            if close:
+            these, gaps, seeds = side[:count], near[:count], seed[:count]
+            if _distances(samples, size, points[p], these, gaps, seeds):
                 chosen, least, over = _closest_patch(
-                    local,
-                    samples,
-                    size,
-                    sign,
-                    inner,
-                    points[p],
-                    side[:count],
-                    near,
-                    beyond,
-                    xi[p, s],
+                    local, size, sign, inner, points[p], these, gaps, seeds, beyond, xi[p, s]
                 )
                 if chosen >= 0:
                     gap[p, s], outside[p, s] = least, over
