@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from modiolus.cli import main
+from modiolus.cli.run import Runner
+from modiolus.cli.simulate import _begin
 from modiolus.errors import InputError
 from modiolus.face.head import Head
 from modiolus.mechanics import Continuation, Load, LoadNotReached, Settings, Stride, trace
+from modiolus.mechanics.contact import known_offsets
 from modiolus.mechanics.convergence import Study, discretisation_error, variants
 from modiolus.mechanics.face import Face, face_problem
-from modiolus.scans.result import save_state
+from modiolus.scans.result import Result, save_state
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +90,40 @@ def test_a_state_is_made_again_of_its_arrays(face, contracted):
     assert both.activations == {"strap_left": 0.2, "strap_right": 0.2}
     with pytest.raises(InputError, match="do not fit the head"):
         face.state(contracted.parameters, contracted.pressure[:-1], {})
+
+
+@pytest.fixture(scope="module")
+def pressed(face):
+    """A state whose lips are pressed apart."""
+    return face.solve({"strap": 0.5})
+
+
+@pytest.mark.parametrize("wanted", [{"strap": 0.45}, {"strap_left": 0.5, "strap_right": 0.4}])
+def test_an_earlier_state_is_in_equilibrium(face, pressed, wanted):
+    arrays = pressed.parameters, pressed.pressure, dict(pressed.activations), pressed.load.jaw
+    earlier = Result("x", face.head, *arrays, offsets=dict(pressed.load.offsets))
+    runner = Runner(face.head, quiet=True)
+    start = _begin(runner, earlier, "x", wanted)
+    problem = runner.face.problem(start)
+    assert (problem is runner.face.whole) == ("strap_left" in wanted)
+
+    def unbalanced(load):
+        return np.abs(problem.evaluate(start.parameters, start.pressure, load).residual).max()
+
+    assert unbalanced(start.load) < 1e-2 * unbalanced(replace(start.load, offsets={}))
+
+
+def test_offsets_of_no_contact_are_refused(face, pressed):
+    offsets = dict(pressed.load.offsets)
+    mesh = face.half.mesh
+    assert known_offsets(face.half.terms, mesh, offsets, 0.0).keys() == offsets.keys()
+    for name, values in (
+        ("contact of the upper lip", np.zeros(7)),
+        ("contact with skull", np.zeros(0)),
+        ("contact with nothing", np.zeros(7)),
+    ):
+        with pytest.raises(InputError, match=f"{name}.*simulate it anew"):
+            known_offsets(face.half.terms, mesh, {**offsets, name: values}, 0.0)
 
 
 def test_an_expression_is_solved_by_its_file(face, contracted, tmp_path):

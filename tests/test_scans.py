@@ -336,6 +336,16 @@ def test_a_state_is_kept_exactly_and_knows_its_head(taro, tmp_path):
     assert np.array_equal(found.parameters, moved)
     assert (found.expression, found.activations, found.jaw) == ("x", {"mentalis": 0.25}, 0.1)
 
+    assert found.offsets == {}
+
+    offsets = {"skull": np.array([0.0, 0.125]), "lip": np.array([0.5])}
+    save_state(
+        *(tmp_path / STATE_FILE, "x", taro, "taro", moved, np.zeros(8), {}, 0.0), offsets=offsets
+    )
+    kept = load_result(tmp_path).offsets
+    assert kept.keys() == offsets.keys()
+    assert all(np.array_equal(kept[name], values) for name, values in offsets.items())
+
     whole = taro.both.whole(moved)
     save_state(tmp_path / STATE_FILE, "x", taro, "taro", whole, np.zeros(8), {}, 0.0)
     assert np.array_equal(load_result(tmp_path).parameters, whole)
@@ -381,12 +391,23 @@ def test_a_state_is_kept_exactly_and_knows_its_head(taro, tmp_path):
         ("settings", np.array("[1]"), "settings"),
         ("settings", np.array('{"skin": "thick"}'), "settings"),
         ("head", np.array("../../nowhere"), "nowhere"),
+        ("contacts", None, "contacts"),
+        ("contacts", np.array(["lip", "lid"]), "pair"),
+        ("points", np.array([2.0]), "pair"),
+        ("points", np.array([3]), "each point"),
+        ("offsets", np.array([0.1, -0.1]), "each point"),
+        ("offsets", np.array([0.1, np.nan]), "finite"),
+        ("offsets", np.array([0.1, 1e9]), "large"),
+        ("offsets", np.array(["deep"]), "deep"),
     ],
 )
 def test_arrays_that_make_no_state_are_refused(taro, tmp_path, name, value, word):
     path = tmp_path / STATE_FILE
     parameters = taro.tissue.parameters
-    save_state(path, "x", taro, "taro", parameters, np.zeros(8), {"mentalis": 0.25}, 0.1)
+    save_state(
+        *(path, "x", taro, "taro", parameters, np.zeros(8), {"mentalis": 0.25}, 0.1),
+        offsets={"lip": np.array([0.0, 0.1])},
+    )
     with np.load(path) as archive:
         arrays = dict(archive)
     del arrays[name]
@@ -394,6 +415,17 @@ def test_arrays_that_make_no_state_are_refused(taro, tmp_path, name, value, word
     with pytest.raises(InputError) as error:
         load_result(tmp_path)
     assert_one_line(error, word)
+
+
+def test_a_state_without_offsets_is_read(taro, tmp_path):
+    path = tmp_path / STATE_FILE
+    save_state(path, "x", taro, "taro", taro.tissue.parameters, np.zeros(8), {}, 0.0)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    for name in ("contacts", "points", "offsets"):
+        del arrays[name]
+    np.savez(path, **arrays)
+    assert load_result(tmp_path).offsets == {}
 
 
 def test_a_state_that_no_face_can_be_in_is_refused(taro, tmp_path):

@@ -348,6 +348,7 @@ def _write_frame(
         found.state.load.jaw,
         None if single else frame.time,
         FaceSettings(**tissue),
+        found.state.load.offsets,
     )
 
 

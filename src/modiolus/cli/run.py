@@ -116,6 +116,7 @@ class Runner:
             state.activations,
             jaw,
             settings=self.face.settings,
+            offsets=state.load.offsets,
         )
         names = {
             "picture": "face.png",

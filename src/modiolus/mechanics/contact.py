@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..hermite import HermiteMesh, gauss, trapezoidal
@@ -81,11 +82,15 @@ class RigidContact(PointTerm):
         fraction = np.zeros(len(order)) if slide is None else np.asarray(slide, dtype=float)[order]
         self.slide_stiffness = fraction * self.stiffness
         self.onset = onset
-        self.rest = surface.sample(np.asarray(self.functions @ mesh.parameters))[0]
+        self.rest = surface.sample(self.points(mesh.parameters))[0]
         free = self.rest
         if touching is not None:
-            free = surface.sample(np.asarray(self.functions @ touching.parameters))[0]
+            free = surface.sample(self.points(touching.parameters))[0]
         self.least = np.minimum(free, 0.0)
+
+    def points(self, parameters: Array) -> Array:
+        """Return the points of the tissue (n, 3)."""
+        return np.asarray(self.functions @ parameters)
 
     def sample(self, vectors: Array, load: Load) -> tuple[Array, Array, Array]:
         """Return the body's distance (n,), gradient and Hessian where a load has taken it.
@@ -118,7 +123,7 @@ class RigidContact(PointTerm):
 
     def augmented(self, parameters: Array, load: Load) -> Array:
         """Return the offsets that would keep the present forces without overlap, (n,)."""
-        distance, _, _ = self.sample(np.asarray(self.functions @ parameters), load)
+        distance, _, _ = self.sample(self.points(parameters), load)
         return np.maximum(self.least - distance + load.offsets.get(self.name, 0.0), 0.0)
 
     def depth(self, vectors: Array, load: Load) -> Array:
@@ -128,7 +133,7 @@ class RigidContact(PointTerm):
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest depth below the body's surface beyond that at rest, in mm."""
-        vectors = np.asarray(self.functions @ parameters)
+        vectors = self.points(parameters)
         return float(self.depth(vectors, Load() if load is None else load).max(initial=0.0))
 
 
@@ -239,6 +244,10 @@ class SurfaceContact(PointTerm):
         stiffness = np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
         return Response(energies, forces, stiffness)
 
+    def points(self, parameters: Array) -> Array:
+        """Return the points of the slave (n, 3)."""
+        return self.facing.points(parameters)
+
     def pushes(self, points: IntArray, distance: Array, load: Load) -> tuple[Array, Array, Array]:
         """Return the penalty of some points at distances (k,), its slope and second derivative."""
         depth = self.facing.least[points] - distance
@@ -255,7 +264,7 @@ class SurfaceContact(PointTerm):
     def pressure(self, parameters: Array, load: Load) -> tuple[Array, Array]:
         """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
         slope = penalty(self.augmented(parameters, load), self.onset)[1]
-        return self.facing.points(parameters), self.stiffness * slope / self.areas
+        return self.points(parameters), self.stiffness * slope / self.areas
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return how deep the slave is inside the master's elements beyond that at rest, in mm.
@@ -333,6 +342,46 @@ class EdgeContact(PointTerm):
                 second[touching, some, :, some] -= force * weight * turn
         stiffness = np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
         return Response(energies, -slope[:, None, None] * along, stiffness)
+
+
+def known_offsets(
+    terms: Iterable[PointTerm],
+    mesh: HermiteMesh,
+    offsets: Mapping[str, Array],
+    midplane: float,
+) -> dict[str, Array]:
+    """Return the `Load.offsets` of an earlier state for the contacts of a problem.
+
+    Those of a half are taken over to both sides: to its own points, which come first, and to
+    their images.
+
+    Parameters
+    ----------
+    terms : iterable of PointTerm
+    mesh : HermiteMesh
+        The problem's tissue at rest.
+    offsets : mapping of str to (n,) array
+        Of the same mesh or, where that is of both sides, of its half.
+    midplane : float
+        x of the mirror plane in mm.
+
+    Raises
+    ------
+    InputError
+        If they are not of these contacts.
+    """
+    contacts = {t.name: t for t in terms if isinstance(t, RigidContact | SurfaceContact)}
+    known = {}
+    for name, values in offsets.items():
+        points = contacts[name].points(mesh.parameters) if name in contacts else np.empty((0, 3))
+        if 0 < len(values) == len(points) // 2:
+            own, others = np.split(points, [len(values)])
+            images = others * [-1.0, 1.0, 1.0] + [2.0 * midplane, 0.0, 0.0]
+            values = np.concatenate([values, values[cKDTree(own).query(images)[1]]])
+        if not 0 < len(values) == len(points):
+            raise InputError(f"state: the offsets of {name!r} are of no contact; simulate it anew")
+        known[name] = values
+    return known
 
 
 def _gaps(vectors: Array, sign: Array) -> tuple[Array, Array]:

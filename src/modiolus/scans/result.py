@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +48,9 @@ class Result:
     time : float or None
         In seconds, of a frame of a sequence.
     settings : FaceSettings
+    offsets : dict of str to (n,) array
+        By which contacts are pressed apart (mm), see `modiolus.mechanics.Load`; empty where a
+        file has none.
     """
 
     expression: str
@@ -56,6 +61,7 @@ class Result:
     jaw: float
     time: float | None = None
     settings: FaceSettings = field(default_factory=FaceSettings)
+    offsets: dict[str, Array] = field(default_factory=dict)
 
 
 def _digest(head: Head) -> str:
@@ -73,6 +79,7 @@ def save_state(
     jaw: float,
     time: float | None = None,
     settings: FaceSettings | None = None,
+    offsets: Mapping[str, Array] | None = None,
 ) -> None:
     """Write a state as plain arrays.
 
@@ -93,7 +100,10 @@ def save_state(
     time : float, optional
         In seconds, of a frame of a sequence.
     settings : FaceSettings, optional
+    offsets : mapping of str to (n,) array, optional
+        By which contacts are pressed apart (mm).
     """
+    offsets = offsets or {}
     np.savez_compressed(
         path,
         allow_pickle=False,
@@ -106,6 +116,9 @@ def save_state(
         activations=np.array(list(activations.values()), dtype=float),
         jaw=np.array(jaw),
         settings=np.array(json.dumps(asdict(settings or FaceSettings()))),
+        contacts=np.array(list(offsets), dtype="U64"),
+        points=np.array([len(values) for values in offsets.values()], dtype=np.int64),
+        offsets=np.concatenate([*offsets.values(), np.empty(0)]),
         **({} if time is None else {"time": np.array(time)}),
     )
 
@@ -141,6 +154,8 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         jaw = float(arrays["jaw"])
         time = float(arrays["time"]) if "time" in arrays else None
         given = json.loads(str(arrays["settings"]))
+        # Files of before have none.
+        offsets = _offsets(arrays) if "offsets" in arrays else {}
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
             raise
@@ -153,6 +168,7 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         (parameters - rest, _FARTHEST),
         (pressure, _HIGHEST),
         ([*values, jaw, time or 0.0], _LATEST),
+        (np.concatenate([*offsets.values(), np.empty(0)]), _FARTHEST),
     ):
         if not (np.abs(numbers) < bound).all():
             raise InputError(f"{path}: a number is not finite, or too large; simulate anew")
@@ -165,4 +181,18 @@ def load_result(folder: str | Path, head: str | None = None) -> Result:
         raise InputError(f"{path}: {error}") from None
     except TypeError as error:
         raise InputError(f"{path}: settings of no face ({error}); simulate anew") from None
-    return Result(expression, chosen, parameters, pressure, activations, jaw, time, settings)
+    return Result(
+        expression, chosen, parameters, pressure, activations, jaw, time, settings, offsets
+    )
+
+
+def _offsets(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
+    """Take the offsets of contacts, which lie in one array, apart."""
+    contacts, points = arrays["contacts"], arrays["points"]
+    values = arrays["offsets"].astype(float)
+    if contacts.ndim != 1 or points.shape != contacts.shape or points.dtype.kind not in "iu":
+        raise ValueError("contacts and points do not pair")
+    if values.shape != (points.sum(),) or (points < 0).any() or (values < 0.0).any():
+        raise ValueError("offsets are not one from 0 up for each point")
+    parts = np.split(values, np.cumsum(points)[:-1]) if len(points) else []
+    return dict(zip(contacts.astype(str).tolist(), parts, strict=True))
