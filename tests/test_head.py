@@ -18,11 +18,17 @@ from modiolus.cli import main
 from modiolus.errors import InputError
 from modiolus.face.build import build_head, skin_error
 from modiolus.face.differences import differences, differences_text
-from modiolus.face.embed import bring_inside, inside_fraction
+from modiolus.face.embed import (
+    INSERTION_SHARE,
+    INSERTIONS,
+    bring_inside,
+    insertions,
+    inside_fraction,
+)
 from modiolus.face.head import Head, head_names, lasting_name
 from modiolus.face.muscle import Muscle
 from modiolus.face.muscles import MUSCLES
-from modiolus.face.template import NECK_CUT
+from modiolus.face.template import COLUMNS, COMMISSURE, MOUTH_ROW, NECK_CUT
 from modiolus.face.tissue import Tissue, outer_sheet
 from modiolus.hermite import grid
 
@@ -226,6 +232,37 @@ def test_a_muscle_flows_into_the_tissue():
     assert moved.mesh.scaled_jacobian(*moved.mesh.gauss_points(4)[:2]).min() > 0.5
     # What need not move stays.
     assert_allclose(moved.end(0)[0], tilted.end(0)[0], atol=0.3)
+
+
+def test_a_bond_to_the_skin_fans_out():
+    ticks = [np.linspace(-30.0, 30.0, 5), np.linspace(-30.0, 30.0, 5), [0.0, 9.0]]
+    tissue = grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+    ticks = [np.linspace(-20.0, 10.0, 3), [-2.0, 2.0], [4.0, 5.0]]
+    belly = grid(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
+    muscle = Muscle("risorius", belly, "strap")
+    bonds = insertions(tissue, {"risorius": muscle})["risorius"]
+    assert_allclose(bonds.stiffness.sum(), INSERTIONS["risorius"], rtol=1e-12)
+
+    def spread(points, weights):
+        middle = np.average(points, axis=0, weights=weights)
+        return middle, np.average((points - middle) ** 2, axis=0, weights=weights)
+
+    (middle, wide), (end, narrow) = (
+        spread(tissue.evaluate(bonds.elements, bonds.xi), bonds.stiffness),
+        spread(*muscle.end_points(INSERTION_SHARE, insertion=True)),
+    )
+    assert_allclose(middle, end, atol=1e-6)
+    assert_allclose(wide - narrow, [2.5**2, 2.5**2, 0.0], atol=1e-6)
+
+
+def test_no_bond_to_the_skin_goes_across_the_mouth(taro):
+    above, below = "levator_labii_superioris", "depressor_labii_inferioris"
+    found = insertions(taro.tissue, {name: taro.muscles[name] for name in (above, below)})
+    for name, upper in ((above, True), (below, False)):
+        row, column = np.divmod(found[name].elements, COLUMNS)
+        # At the corner both lips touch every element.
+        lip = column < COMMISSURE - 1
+        assert lip.any() and ((row[lip] >= MOUTH_ROW) == upper).all(), name
 
 
 def test_taro_is_small_and_says_whose_it_is():

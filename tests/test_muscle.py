@@ -66,6 +66,15 @@ def test_lengths_and_ends_of_a_beam():
     assert_allclose(volumes.sum() / 360.0, 0.12, atol=0.04)
 
 
+def test_points_across_a_broad_muscle_are_no_farther_apart_than_elements_of_a_face():
+    for width, count in ((4.0, 2), (17.0, 5), (33.0, 9)):
+        muscle = beam((30.0, width, 2.0), (3, 1, 1))
+        assert muscle.across() == count
+        for points in (muscle.quadrature((4, count, 2)).points, muscle.end_points(0.3)[0]):
+            across = np.unique(points[:, 1].round(6))
+            assert len(across) == count and np.diff(across).max() < 6.0
+
+
 def test_a_gliding_muscle_stretches_by_what_its_bound_part_moves():
     rule = beam().quadrature()
     held = np.ones(len(rule.points), dtype=bool)

@@ -319,11 +319,12 @@ INSERTIONS: dict[str, float] = dict.fromkeys(
         *("mentalis", "platysma", "frontalis_medial", "frontalis_lateral"),
         *("corrugator_supercilii", "procerus", "nasalis", "depressor_septi_nasi"),
     ),
-    1750.0,
+    875.0,
 )
 #: That part, as a share of the length: fibres leave a muscle for the skin long before its end, and
-#: longer bonds reach measured faces better (`docs/scans.md`).
-INSERTION_SHARE = 0.35
+#: longer bonds reach measured faces better (`docs/scans.md`). They fan out on the way; what a bond
+#: holds has this standard deviation (mm) in the plane of the skin.
+INSERTION_SHARE, INSERTION_SPREAD = 0.35, 2.5
 
 
 def insertions(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attachment]:
@@ -333,10 +334,36 @@ def insertions(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, At
     dermis; fat alone would let a deep end slip under it.
     """
     return {
-        name: _held(mesh, name, *muscles[name].end_points(INSERTION_SHARE, True), stiffness)
+        name: _fanned(
+            mesh, _held(mesh, name, *muscles[name].end_points(INSERTION_SHARE, True), stiffness)
+        )
         for name, stiffness in INSERTIONS.items()
         if name in muscles
     }
+
+
+def _fanned(mesh: HermiteMesh, bonds: Attachment) -> Attachment:
+    """Put four points around each of some bonds in its place, along the skin.
+
+    One that would leave the tissue, or be in an element that does not touch the bond's, such as
+    beyond the mouth, stays in the middle.
+    """
+    tangents = mesh.jacobian(bonds.elements, bonds.xi)[:, :, :2]
+    first, second = np.moveaxis(np.linalg.qr(tangents)[0], 2, 0)
+    ways = INSERTION_SPREAD * np.array(
+        [first + second, first - second, -first - second, second - first]
+    )
+    place = mesh.locate((mesh.evaluate(bonds.elements, bonds.xi) + ways).reshape(-1, 3))
+    corners = mesh.corner_nodes()[0]
+    home, own = np.tile(bonds.elements, 4), np.tile(bonds.xi, (4, 1))
+    meet = (corners[home][:, :, None] == corners[place.elements][:, None, :]).any(axis=(1, 2))
+    kept = (place.distance < 1.0) & meet
+    return Attachment(
+        bonds.name,
+        np.where(kept, place.elements, home),
+        np.where(kept[:, None], place.xi, own),
+        np.tile(bonds.stiffness / 4.0, 4),
+    )
 
 
 #: Retaining ligaments: distances (mm) from the tragus and from the mid-plane or the corner of

@@ -13,6 +13,10 @@ from modiolus.hermite import HermiteMesh, assemble, gauss
 
 __all__ = ["KINDS", "Muscle", "MusclePoints"]
 
+#: Greatest distance (mm) between points across a muscle, on average over an element: less than the
+#: elements of a tissue are wide. Farther apart a broad muscle is a few ropes, that draw streaks.
+ACROSS = 4.0
+
 #: What a muscle can be: a ribbon, a broad sheet, or part of a sphincter.
 KINDS = ("strap", "sheet", "ring")
 
@@ -167,6 +171,14 @@ class Muscle:
             xi,
         )
 
+    def across(self) -> int:
+        """Return how many Gauss points an element has across: two, or more if it is broad."""
+        xi, weights = gauss(3, 2)
+        elements = np.repeat(np.arange(self.mesh.n_elements), len(xi))
+        tangents = self.mesh.jacobian(elements, np.tile(xi, (self.mesh.n_elements, 1)))
+        widths = np.linalg.norm(tangents[:, :, 1], axis=1).reshape(-1, len(xi)) @ weights
+        return max(2, int(np.ceil(widths.max() / ACROSS)))
+
     def end(self, side: int, n: int = 3) -> tuple[np.ndarray, np.ndarray]:
         """Return points spread over the origin (side 0) or the insertion (side 1).
 
@@ -210,7 +222,7 @@ class Muscle:
         volumes : (q,) array
             Volumes for which they stand (mm³).
         """
-        rule = self.quadrature((8, 2, 2))
+        rule = self.quadrature((8, self.across(), 1))
         along, _ = self._along(rule)
         near = along > 1.0 - share if insertion else along < share
         return rule.points[near], rule.weights[near]
