@@ -111,11 +111,11 @@ def test_a_body_without_flanks_goes_on_for_its_own_width():
     assert 0.0 < energies[2] < whole and energies[3] == 0.0
 
 
-def over_an_edge(shift):
+def over_an_edge(shift, wide=20, high=6):
     """Energy and overlap of a block moved by ``shift`` over a block whose side to +x is a flank."""
     below, above = (
-        block((1, 1, 1), (0, 0, -6), (20, 16, 0)),
-        block((1, 1, 1), (0, 1, 0), (20, 15, 6)),
+        block((1, 1, 1), (0, 0, -high), (wide, 16, 0)),
+        block((1, 1, 1), (0, 1, 0), (wide, 15, high)),
     )
     mesh, one, other = joined(below, above), np.array([1]), np.array([0])
     flanks = [(one, 0, 0)], [(other, 0, 1)]
@@ -136,6 +136,17 @@ def test_a_body_before_another_meets_its_flank():
     assert over_an_edge([19.95, 0.0, -2.0])[0] == pytest.approx(0.25 * energy)
     assert over_an_edge([19.9, 0.0, -2.1])[0] == pytest.approx(energy)
     assert over_an_edge([20.1, 0.0, -2.0]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("depth", [facing.DEEPEST + 0.1, 8.0, 18.0])
+def test_a_body_far_before_another_meets_its_flank(depth):
+    # The other's top is far away: narrower than high, it has no sample as near as its flank.
+    energy, _ = over_an_edge([3.95, 0.0, -1.0], 4, 20)
+    assert energy > 0.1
+    assert over_an_edge([3.95, 0.0, -depth], 4, 20)[0] == pytest.approx(energy)
+    assert over_an_edge([4.05, 0.0, -depth], 4, 20)[0] == 0.0
+    # Beyond the lower end of the flank is nothing.
+    assert over_an_edge([3.95, 0.0, -21.0], 4, 20)[0] == 0.0
 
 
 def test_what_hangs_out_over_a_flank_is_not_held():

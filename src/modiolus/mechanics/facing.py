@@ -10,7 +10,7 @@ The body behind a master may end at flanks as well, as a lip does at the skin an
 A point is inside it when it lies below the master and below all of its flanks; its distance is
 the greatest of those to the sides. Where two of them are nearly alike, at an edge, they are
 blended, as if the edge were round: a lip that slides out over the edge of the other is let go
-there, and one that lies before the other meets its flank.
+there, and one that lies before the other meets its flank, however far it has slid.
 """
 
 from __future__ import annotations
@@ -295,7 +295,7 @@ def project(
         How far outside [0, 1] a local coordinate may lie.
     host : (n, parts) int array, written
         Patch, or -1 where none faces the point, or it is deeper than `DEEPEST`. The flanks are
-        asked only where the master itself is not farther than `FREE`.
+        not asked about points that the master itself has before it by more than `FREE`.
     xi : (n, parts, 2) array, written
     gap : (n, parts) array, written
         Signed distance along the outward normal in mm; infinite where none is near.
@@ -327,7 +327,7 @@ def project(
                     host[p, s] = chosen if least > -DEEPEST else -1
                 else:
                     outside[p, s] = np.inf
-            if gap[p, 0] > FREE:
+            if FREE < gap[p, 0] < np.inf:
                 break
 
 
@@ -620,14 +620,16 @@ class Facing:
             outside,
         )
         each = np.arange(n)[:, None]
+        # Far below the master itself, or beside it, flanks tell alone who is inside; beside it only
+        # where they have the foot of the point.
+        host[:, 1:][np.isinf(gap[:, :1]) & (outside[:, 1:] > 1e-9)] = -1
         # Flanks that do not face a point are far away: on this side of it where it is beyond the
         # master's border, else on the other.
         if parts > 1:
             host[(outside[:, 0] > ROOM) & (host[:, 1:] < 0).all(axis=1), 0] = -1
         gap = np.where(host >= 0, gap, -np.inf)
         order = np.argsort(-gap, axis=1, kind="stable")[:, :2]
-        faces = host[:, :1] >= 0
-        gap, host, xi = gap[each, order], np.where(faces, host[each, order], -1), xi[each, order]
+        gap, host, xi = gap[each, order], host[each, order], xi[each, order]
         distance = np.where(host[:, 0] >= 0, gap[:, 0], np.inf)
         if parts == 1:
             host = np.insert(host, 1, -1, axis=1)
