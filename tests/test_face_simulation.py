@@ -52,6 +52,8 @@ ACTIONS = {
         *(("outer_brow_left", "-z"), ("outer_brow_left", "-x")),
         ("cheek_left", "+z"),
     ],
+    # Its part below the orbit raises the cheek (AU 6).
+    "orbicularis_oculi_malar": [("cheek_left", "+z")],
     # Closes the lids (AU 7).
     "orbicularis_oculi_palpebral": [("upper_lid_mid_left", "-z"), ("lower_lid_mid_left", "+z")],
     # Raises the eyebrow: its inner part (AU 1), its outer part (AU 2).

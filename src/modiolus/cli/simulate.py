@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -142,7 +141,7 @@ def simulate(
 
         runner = Runner(chosen, quiet, head, parameters)
         title = heading(wanted, given, jaw_open, palsy)
-        begin = None if earlier is None else _begin(runner, earlier, start, activations)
+        begin = None if earlier is None else _begin(runner, earlier, start)
         try:
             state = runner.solve(name, activations, jaw, begin)
         except (LoadNotReached, Interrupted) as error:
@@ -173,19 +172,11 @@ def _earlier(folder: str, name: str, head: Head) -> Result:
     return found
 
 
-def _begin(runner: Runner, earlier: Result, folder: str, activations: Mapping[str, float]) -> State:
-    """Return an earlier result as the state to begin at, on both sides if these differ."""
-    from modiolus.mechanics.contact import known_offsets
-
-    face, head = runner.face, runner.head
-    both = not set(activations) <= set(head.muscles)
+def _begin(runner: Runner, earlier: Result, folder: str) -> State:
+    """Return an earlier result as the state to begin at."""
+    known = earlier.parameters, earlier.pressure, earlier.activations, earlier.jaw
     try:
-        state = face.state(
-            earlier.parameters, earlier.pressure, earlier.activations, earlier.jaw, both
-        )
-        terms = face.problem(state).terms
-        offsets = known_offsets(terms, state.reference, earlier.offsets, head.midplane)
-        return replace(state, load=replace(state.load, offsets=offsets))
+        return runner.face.state(*known, offsets=earlier.offsets)
     except InputError as error:
         raise InputError(f"--from {folder}: {error}") from None
 

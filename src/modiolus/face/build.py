@@ -30,6 +30,7 @@ from .embed import (
     sheets,
 )
 from .head import Head, RigidSurface
+from .malar import MALAR, malar_part
 from .muscles import build_muscles, muscle_quality, muscle_table
 from .provenance import GIVEN, INFERRED
 from .template import COLUMNS, EYE_ROW, MOUTH_ROW, NECK_CUT, ROWS
@@ -97,6 +98,7 @@ def build_head(
     lids = "orbicularis_oculi_palpebral"
     muscles = {**fitted, lids: move_lids(fitted[lids])}
     muscles = {key: bring_inside(m, tissue.mesh, NECK_CUT) for key, m in muscles.items()}
+    muscles[MALAR] = malar_part(tissue.mesh)
     tell(0.85, "muscle fraction and attachments")
     element, xi = tissue.landmarks["mouth_corner"]
     corner = tissue.mesh.evaluate([element], [(*xi[:2], 0.5)])[0]
@@ -134,7 +136,7 @@ def build_head(
     head.about["quality"]["inside"] = share
     tell(0.95, "quality of the muscles")
     # The lids' muscle is compared where its source is.
-    moved = {**muscles, lids: move_lids(muscles[lids], -LID_SHIFT)}
+    moved = {key: muscles[key] for key in fitted} | {lids: move_lids(muscles[lids], -LID_SHIFT)}
     rows = muscle_quality(moved, anatomy)
     head.about["quality"]["moved_rms_mm"] = {row.name: round(row.rms, 2) for row in rows}
     head.about["quality"]["moved_volume"] = {
@@ -182,6 +184,7 @@ def provenance(muscles: Iterable[str], deep: Iterable[str]) -> dict[str, str]:
     out = {"skin": f"{GIVEN}: moved out where muscles need room"}
     out["inner_surface"] = f"{GIVEN}: on bone, elsewhere {INFERRED}: a greatest depth by region"
     out |= dict.fromkeys(muscles, f"{GIVEN}: moved into the tissue")
+    out[MALAR] = f"{INFERRED}: laid in the tissue, from the literature"
     out |= dict.fromkeys(deep, GIVEN)
     out["gums_upper"] = f"{GIVEN}: cut away over depressor septi nasi"
     out["eyeball"] = f"{INFERRED}: a ball of {2 * EYE_RADIUS:g} mm behind the lids"

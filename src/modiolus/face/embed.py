@@ -41,7 +41,8 @@ CLEARANCE = (0.35, 0.1)
 #: Frontalis comes from the galea, which occipitalis holds back; platysma from the fascia of the
 #: neck, which the cut holds. Orbicularis oculi is a ring that comes from bone at its medial end:
 #: the nasal part of the frontal bone, the frontal process of the maxilla and the medial palpebral
-#: ligament (Gray's Anatomy, "Face and scalp"). Muscles that glide need no hold; what is around
+#: ligament (Gray's Anatomy, "Face and scalp"); its malar part begins at the rim of the orbit
+#: (`modiolus.face.malar`). Muscles that glide need no hold; what is around
 #: their origins is loose, and as stiff as a retaining ligament. Around that of depressor septi nasi
 #: nothing holds: it lies behind the upper lip, which the vestibule of the mouth parts from the gum,
 #: and in 62 % of people the muscle comes out of orbicularis oris there (Rohrich et al. 2000).
@@ -59,6 +60,7 @@ ORIGINS: dict[str, tuple[float, float]] = {
     "buccinator": (300.0, 0.3),
     "orbicularis_oculi_orbital": (2e4, 0.05),
     "orbicularis_oculi_palpebral": (2e4, 0.05),
+    "orbicularis_oculi_malar": (2e4, 0.1),
 }
 
 #: Share of its length, from the bone, over which a muscle that ends in the skin glides
@@ -68,8 +70,10 @@ ORIGINS: dict[str, tuple[float, float]] = {
 GLIDE = 0.85
 #: Those that do not: platysma lies in the superficial fascia, which joins it to the skin all along,
 #: and slides with the skin over the deep fascia (Gray's Anatomy, "Neck"). Where its way from the
-#: chest to the jaw is hollow it draws the skin out when it is taut.
-SUPERFICIAL = ("platysma",)
+#: chest to the jaw is hollow it draws the skin out when it is taut. The malar part of orbicularis
+#: oculi, in the same layer, has ends in the skin all along (Zufferey 2013, Eur. J. Plast. Surg.
+#: 36:345-352).
+SUPERFICIAL = ("platysma", "orbicularis_oculi_malar")
 
 #: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
 #: above it.
@@ -318,6 +322,7 @@ INSERTIONS: dict[str, float] = dict.fromkeys(
         *("levator_anguli_oris", "depressor_anguli_oris", "depressor_labii_inferioris"),
         *("mentalis", "platysma", "frontalis_medial", "frontalis_lateral"),
         *("corrugator_supercilii", "procerus", "nasalis", "depressor_septi_nasi"),
+        "orbicularis_oculi_malar",
     ),
     875.0,
 )

@@ -17,7 +17,11 @@ __all__ = ["GROUPS", "Expression", "expression_names", "resolve"]
 #: Muscles that are driven in parts, under the name of the whole.
 GROUPS: dict[str, tuple[str, ...]] = {
     "frontalis": ("frontalis_medial", "frontalis_lateral"),
-    "orbicularis_oculi": ("orbicularis_oculi_orbital", "orbicularis_oculi_palpebral"),
+    "orbicularis_oculi": (
+        "orbicularis_oculi_orbital",
+        "orbicularis_oculi_palpebral",
+        "orbicularis_oculi_malar",
+    ),
     "orbicularis_oris": ("orbicularis_oris_upper", "orbicularis_oris_lower"),
 }
 

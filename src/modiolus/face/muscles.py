@@ -17,13 +17,14 @@ import scipy.sparse as sp
 from modiolus.anatomy import MIDPLANE, BodyParts3D, Surface
 from modiolus.anatomy.sheet import Sheet, clean_skin, ring, strip
 from modiolus.errors import SolveError, unknown_name
+from modiolus.face.malar import MALAR
 from modiolus.face.muscle import Muscle
 from modiolus.fitting import CloudTarget, PointTarget, Smoothing, fit
 from modiolus.hermite import HermiteMesh, grid
 from modiolus.hermite.tessellate import tessellate
 from modiolus.progress import Progress
 
-__all__ = ["MUSCLES", "MuscleQuality", "build_muscles", "muscle_quality", "muscle_table"]
+__all__ = ["FITTED", "MUSCLES", "MuscleQuality", "build_muscles", "muscle_quality", "muscle_table"]
 
 Directions = Sequence[tuple[float, float, float]]
 
@@ -193,12 +194,13 @@ _RECIPES = {
     "depressor_septi_nasi": _Recipe("depressor_septi_nasi", (3, 2)),
 }
 
-#: The muscles of one side, by name.
-MUSCLES = tuple(_RECIPES)
+#: Those with a source, by name, and all muscles of one side.
+FITTED = tuple(_RECIPES)
+MUSCLES = (*FITTED, MALAR)
 
 
 def build_muscles(
-    anatomy: BodyParts3D, names: Iterable[str] = MUSCLES, quiet: bool = True
+    anatomy: BodyParts3D, names: Iterable[str] = FITTED, quiet: bool = True
 ) -> dict[str, Muscle]:
     """Build muscles of the left side.
 
@@ -207,7 +209,7 @@ def build_muscles(
     anatomy : BodyParts3D
         Where their surfaces come from.
     names : iterable of str
-        Which of `MUSCLES`; all by default.
+        Which of `FITTED`; all by default.
     quiet : bool
         Whether to show no progress.
 
@@ -226,7 +228,7 @@ def build_muscles(
     names = list(names)
     for name in names:
         if name not in _RECIPES:
-            raise unknown_name("muscle", name, MUSCLES)
+            raise unknown_name("muscle", name, FITTED)
     sheets: dict[str, Sheet] = {}
     wholes: dict[str, HermiteMesh] = {}
     muscles = {}

@@ -21,7 +21,7 @@ from ..face.tissue import Side
 from ..hermite import symmetry_plane
 from ..progress import Report
 from .constraints import clamp
-from .contact import RigidContact, SurfaceContact, face_points
+from .contact import RigidContact, SurfaceContact, face_points, known_offsets
 from .continuation import Continuation
 from .laws import CARTILAGE, FAT, MUSCLE, Array, FibreLaw, mix
 from .problem import GAUSS, Problem, State
@@ -115,9 +115,10 @@ ARCHES: dict[str, tuple[str, ...]] = {
     "lower_arch": ("teeth_lower", "gums_lower"),
 }
 #: Rounding (mm) of edges and clefts of what tissue touches: soft tissue bridges the clefts, and on
-#: sharp edges a mesh coarser than they are would catch. A muscle gives way, its edges all the more.
+#: sharp edges a mesh coarser than they are would catch. A muscle gives way, its edges all the more;
+#: over the lower edge of the cheekbone the cheek slides by half a centimetre.
 ROUNDING = 1.0
-SOFT_ROUNDING = {"masseter": 2.0}
+MORE_ROUNDING = {"masseter": 2.0, "skull": 2.0}
 #: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
 #: lips and cheeks from the bone.
 VESTIBULE = 6.0
@@ -208,9 +209,8 @@ class Face:
         else:
             problem, head, wanted = self.whole, self.head.whole, self._sided(wanted)
             if start is not None and self._is_half(start):
-                start = self.state(
-                    start.parameters, start.pressure, start.activations, start.load.jaw, both=True
-                )
+                known = start.parameters, start.pressure, start.activations, start.load.jaw
+                start = self.state(*known, both=True, offsets=start.load.offsets)
         load = face_load(problem, head, wanted, jaw_open)
         return Continuation(problem, start, report=report).run(load)
 
@@ -221,6 +221,7 @@ class Face:
         activations: Mapping[str, float],
         jaw: float = 0.0,
         both: bool = False,
+        offsets: Mapping[str, Array] | None = None,
     ) -> State:
         """Return a state that was computed earlier.
 
@@ -236,11 +237,13 @@ class Face:
             Angle in radians by which the jaw is open.
         both : bool
             Whether to return both sides also of a state of one.
+        offsets : mapping of str to (n,) array, optional
+            By which its contacts are pressed apart (`Load.offsets`, mm); not at all by default.
 
         Raises
         ------
         InputError
-            The arrays do not fit the head.
+            The arrays do not fit the head, or the offsets its contacts.
         """
         on_half = len(parameters) == self.head.tissue.n_params
         if on_half and not both:
@@ -262,6 +265,8 @@ class Face:
         if head is not self.head:
             activations = self._sided(activations)
         load = face_load(problem, head, activations, jaw)
+        known = known_offsets(problem.terms, problem.mesh, offsets or {}, self.head.midplane)
+        load = replace(load, offsets=known)
         return replace(rest, parameters=parameters, pressure=pressure, load=load)
 
     def _is_half(self, state: State) -> bool:
@@ -588,7 +593,7 @@ def _bodies(head: Head) -> dict[str, DistanceGrid]:
     return {
         name: grids[0]
         if name == "eyeball"
-        else DistanceGrid.rounded(grids, SOFT_ROUNDING.get(name, ROUNDING))
+        else DistanceGrid.rounded(grids, MORE_ROUNDING.get(name, ROUNDING))
         for name, grids in parts.items()
     }
 
