@@ -118,7 +118,7 @@ ARCHES: dict[str, tuple[str, ...]] = {
 #: sharp edges a mesh coarser than they are would catch. A muscle gives way, its edges all the more;
 #: over the lower edge of the cheekbone the cheek slides by half a centimetre.
 ROUNDING = 1.0
-MORE_ROUNDING = {"masseter": 2.0, "skull": 2.0}
+MORE_ROUNDING = {"masseter": 2.0, "skull": 1.5}
 #: It does not within this distance (mm) of the gums, where the vestibule of the mouth parts
 #: lips and cheeks from the bone.
 VESTIBULE = 6.0

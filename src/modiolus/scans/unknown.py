@@ -23,16 +23,18 @@ __all__ = ["FURTHER", "JAW", "TABLE_2", "Driven", "Unknown", "muscle_set", "unkn
 
 Array = NDArray[np.float64]
 
-#: Muscles of the four expressions in table 2 of Wu et al. (2013), by expression.
+#: Muscles of the four expressions in table 2 of Wu et al. (2013), by expression. The malar part of
+#: orbicularis oculi belongs to the orbital one, which the table names.
 TABLE_2: dict[str, tuple[str, ...]] = {
     "smile-closed": (
-        *("buccinator", "levator_anguli_oris", "orbicularis_oculi_orbital", "risorius"),
+        *("buccinator", "levator_anguli_oris", "risorius"),
+        *("orbicularis_oculi_orbital", "orbicularis_oculi_malar"),
         *("zygomaticus_major", "zygomaticus_minor"),
     ),
     "smile-open": (
         *("depressor_labii_inferioris", "levator_anguli_oris"),
         *("levator_labii_superioris_alaeque_nasi", "orbicularis_oculi_orbital"),
-        *("zygomaticus_major", "zygomaticus_minor"),
+        *("orbicularis_oculi_malar", "zygomaticus_major", "zygomaticus_minor"),
     ),
     "sad": (
         *("corrugator_supercilii", "depressor_anguli_oris", "frontalis", "mentalis"),
