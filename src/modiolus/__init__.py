@@ -12,7 +12,11 @@ __all__ = ["__version__"]
 
 __version__ = version("modiolus")
 
-# Read when the threads of MKL and of Numba's loops start: by default those that wait spin, and
-# take the processor from the others' work.
-for _name, _value in {"KMP_BLOCKTIME": "0", "OMP_WAIT_POLICY": "PASSIVE"}.items():
+# Read when the threads of MKL, of Numba's loops and of NumPy's products start: by default those
+# that wait spin, and take the processor from the others' work.
+for _name, _value in {
+    "KMP_BLOCKTIME": "0",
+    "OMP_WAIT_POLICY": "PASSIVE",
+    "OPENBLAS_THREAD_TIMEOUT": "4",
+}.items():
     os.environ.setdefault(_name, _value)
