@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from modiolus.export.shape import vertex_normals
 from modiolus.face.head import Head
 from modiolus.hermite.tessellate import Mirror, tessellate
 from modiolus.mechanics.face import Face
@@ -37,15 +38,6 @@ def laplacian(points, triangles):
         np.add.at(areas, here, double / 6.0)
     weights = weights + weights.T
     return sp.diags(np.asarray(weights.sum(axis=1)).ravel()) - weights, areas
-
-
-def normals(points, triangles):
-    """Return the unit normals of the vertices of a surface."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    out = np.zeros_like(points)
-    for corner in range(3):
-        np.add.at(out, triangles[:, corner], np.cross(b - a, c - a))
-    return out / np.linalg.norm(out, axis=1)[:, None]
 
 
 def main(name="taro"):
@@ -71,7 +63,7 @@ def main(name="taro"):
         moved = both.points(cut.points(state.mesh.face(*side).parameters))
         gone = moved - points
         rough = gone - smoother.solve(areas[:, None] * gone)
-        normal = (rough * normals(moved, both.faces)).sum(axis=1)
+        normal = (rough * vertex_normals(moved, both.faces)).sum(axis=1)
         across = (rough**2).sum(axis=1) - normal**2
         line = f"{expression:14s}"
         for number in range(len(REGIONS)):
