@@ -1,6 +1,7 @@
 """The command line as a person meets it: what it prints, and what it leaves behind."""
 
 import ctypes
+import errno
 import io
 import json
 import math
@@ -99,7 +100,10 @@ def test_help_has_the_usual_values_of_the_settings(run):
         (["simulate", "smile-closed", "--head", ""], ["'': not a head's directory"]),
         (["simulate", "--activation", "mentalis"], ["--activation mentalis", "name=value"]),
         (["simulate", "--activation", "mentalis=much"], ["--activation mentalis=much", "number"]),
-        (["simulate", "--activation", "mentalus=0.5"], ["mentalus", "did you mean mentalis"]),
+        (
+            ["simulate", "--activation", "mentalus=0.5"],
+            ["--activation: muscle 'mentalus'", "did you mean mentalis"],
+        ),
         (["simulate", "--activation", "mentalis=nan"], ["mentalis", "nan", "0 to 1"]),
         (["simulate", "--activation", "mentalis=-0.1"], ["mentalis", "-0.1", "0 to 1"]),
         (["simulate", "--activation", "mentalis=1.01"], ["mentalis", "1.01", "0 to 1"]),
@@ -149,7 +153,9 @@ def test_bad_input_is_one_line(run, tmp_path, arguments, words, as_json):
         ("[activations]\nmentalis = true\n", ["mentalis", "0 to 1"]),
         ("[activations]\nmentalis = nan\n", ["mentalis", "nan"]),
         ("[activations]\nmentalis = 1.5\n", ["my.toml", "mentalis", "1.5", "0 to 1"]),
-        ("[activations]\nmentallis = 0.2\n", ["mentallis", "did you mean mentalis"]),
+        ("[activations]\nmentallis = 0.2\n", ["my.toml: ", "mentallis", "did you mean mentalis"]),
+        ("[activations]\nmentalis = 0.2\nmentalis = 0.3\n", ["not a TOML file", "line 3"]),
+        ("[activations.mentalis]\nleft = 0.2\n", ["activation of mentalis is {'left': 0.2}"]),
         ("activation = 1\n[activations]\nmentalis = 0.2\n", ["activation", "activations"]),
     ],
 )
@@ -247,6 +253,33 @@ def test_a_file_without_an_end_is_refused(run, tmp_path):
     for name, arguments in (("my.toml", ["simulate"]), ("my.csv", ["identify", "--markers"])):
         (tmp_path / name).symlink_to("/dev/zero")
         assert_refused(run(*arguments, name), name, "more than 64 MiB")
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_closed_stream_changes_nothing(run, monkeypatch, stream):
+    monkeypatch.setattr(sys, stream, None)
+    assert run("heads")[0] == 0
+    monkeypatch.setattr(sys, stream, None)
+    assert run("simulate", "smile-close")[0] == 2
+
+
+def test_a_terminal_without_the_letters_is_no_error(run, monkeypatch):
+    printed = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", printed)
+    assert run("beam", "--angle", "10", "--activation", "0.001")[0] == 0
+    printed.seek(0)
+    assert "twisted by 1.3\\xb0" in printed.read()
+
+
+def test_a_full_disk_is_told_in_one_line(run, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("modiolus.cli.beam.write_report", full)
+    code, out, error = run("beam", "--angle", "0", "--activation", "0.001", "--quiet")
+    assert (code, out, error.count("\n")) == (1, "", 1)
+    assert "No space left on device; mend that" in error
+    assert list(Path().iterdir()) == []
 
 
 def test_quiet_says_nothing(run):
@@ -467,6 +500,38 @@ def test_report_has_null_for_what_is_not_a_number(tmp_path):
         "rows": [[1.5, None]],
         "name": "sad",
     }
+
+
+def test_whole_folder_keeps_what_is_read(tmp_path):
+    kept = tmp_path / "run"
+    (kept / "head").mkdir(parents=True)
+    (kept / "report.json").write_text("{}")
+    for source in (kept, kept / "head"):
+        with (
+            pytest.raises(InputError, match="is read and would be replaced"),
+            whole_folder(kept, "report.json", sources=[source]),
+        ):
+            pass
+    with whole_folder(kept / "new", "report.json", sources=[kept]):
+        pass
+    assert (kept / "head").is_dir()
+
+
+def test_whole_folder_refuses_links_in_a_circle(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with (
+        pytest.raises(InputError, match=r"circle|symbolic links"),
+        whole_folder(tmp_path / "loop" / "run", "report.json"),
+    ):
+        pass
+
+
+def test_whole_folder_refuses_a_place_that_is_gone(tmp_path, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(InputError, match="cannot be written"), whole_folder(Path("run"), "x"):
+        pass
 
 
 def test_whole_folder_refuses_a_file(tmp_path):

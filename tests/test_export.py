@@ -1,6 +1,7 @@
 """Files for other programs, read back."""
 
 import json
+import shutil
 import struct
 import sys
 from dataclasses import replace
@@ -395,6 +396,18 @@ def test_results_become_shape_keys_of_one_model(states, tmp_path, capsys):
     assert not still.any()
     assert len(content["animations"][0]["channels"]) == 6
     assert "CC" in (tmp_path / "faces/LICENSE").read_text()
+
+
+def test_a_result_is_not_replaced_by_its_export(states, tmp_path, capsys):
+    for name, option in [("wide", "--glb"), ("open", "--ex")]:
+        shutil.copytree(states / name, tmp_path / name)
+        # As simulate leaves it.
+        (tmp_path / name / "report.json").write_text("{}")
+        with pytest.raises(SystemExit) as left:
+            main(["export", str(tmp_path / name), option, str(tmp_path / name)])
+        assert left.value.code == 2
+        assert f"{option} {tmp_path / name}: " in capsys.readouterr().err
+        assert (tmp_path / name / STATE_FILE).is_file()
 
 
 def test_states_on_the_way_are_computed_and_correct_the_key(states, tmp_path, capsys, monkeypatch):

@@ -8,6 +8,7 @@ why and what to do) and 130 after an interruption. Outputs appear whole or not a
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import sys
@@ -40,6 +41,7 @@ def _run(arguments: list[str]) -> int:
     # A polite kill ends like Ctrl-C: everything half-written is removed on the way out.
     Interruption.listen()
     verbose = bool(os.environ.get("MODIOLUS_TRACEBACK"))
+    _open_streams()
     try:
         with warnings.catch_warnings():
             if not verbose:
@@ -63,7 +65,8 @@ def _run(arguments: list[str]) -> int:
         sys.stderr.close()
         return 1
     except OSError as error:
-        return _say(f"{error.filename or 'system'}: {error.strerror or error}", 1)
+        where = error.filename or "a file that was written or read"
+        return _say(f"{where}: {error.strerror or error}; mend that and run it again", 1)
     except Exception as error:
         if verbose:
             raise
@@ -82,6 +85,16 @@ def _run(arguments: list[str]) -> int:
     if code == _INTERRUPTED:
         return _say("interrupted; nothing was written", code)
     return code if isinstance(code, int) else 0
+
+
+def _open_streams() -> None:
+    """Print to nowhere where a stream is closed, and escape the letters that one has not."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, io.StringIO())
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _one_line(error: Exception) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, examples, show
-from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.cli.outputs import own_heads, whole_folder, write_report
 from modiolus.progress import Progress
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def compare(
     resting = None if neutral is None else read_scan(neutral)
     target = out or result / f"compare-{scan.stem}"
     title = f"{computed.expression} on {computed.head.name} against {scan.name}"
-    with whole_folder(target, marker="report.json") as folder:
+    with whole_folder(target, "compare.html", sources=(result, scan, *own_heads(head))) as folder:
         from modiolus.export.scene import FaceScene
         from modiolus.face.landmarks import read_landmarks
         from modiolus.scans.align import place

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, examples, show
-from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.cli.outputs import own_heads, whole_folder, write_report
 from modiolus.errors import InputError, SolveError
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _write_ex(source: str, target: Path, cmgui: bool) -> tuple[dict[str, Any], s
             head = head.whole
     else:
         head = Head.load(source)
-    with whole_folder(target, marker="report.json", option="--ex") as folder:
+    with whole_folder(target, "report.json", "--ex", own_heads(source)) as folder:
         files = write_head_ex(head, folder, parameters, cmgui)
         (folder / "LICENSE").write_text(head.licence_text(), encoding="utf-8")
         places = {name: str(target / path.name) for name, path in files.items()}
@@ -169,7 +169,7 @@ def _write_model(
         target, option, name, write = usd, "--usd", "faces.usdc", write_usd
     assert target is not None
     scene = FaceScene(head)
-    with whole_folder(target, marker="report.json", option=option) as folder:
+    with whole_folder(target, name, option, sources) as folder:
         states: dict[str, tuple[np.ndarray, float]] = {}
         between: dict[str, tuple[str, float]] = {}
         for expression, result in results.items():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modiolus.cli.app import HeadName, Json, Out, Quiet, app, examples, help_alone, show
-from modiolus.cli.outputs import use_of, whole_folder
+from modiolus.cli.outputs import own_heads, use_of, whole_folder
 from modiolus.errors import InputError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -196,7 +196,7 @@ def build(
         return
     from modiolus.face.build import build_head
 
-    with whole_folder(out, marker="head.toml") as folder:
+    with whole_folder(out, "head.toml", sources=anatomy) as folder:
         with Progress(f"building {name}", quiet=quiet) as progress:
             built, table = build_head(anatomy[0], progress.update, name=name)
         built.save(folder)
@@ -234,7 +234,7 @@ def _build_subject(
     if notice is not None and not notice.is_file():
         raise InputError(f"--notice {notice}: no such file; check the path")
     files = ", ".join(path.name for path in anatomy)
-    with whole_folder(out, marker="head.toml") as folder:
+    with whole_folder(out, "head.toml", sources=(*anatomy, *own_heads(head))) as folder:
         with Progress(f"building {name}", quiet=quiet) as progress:
             built, quality = build_subject(source, structures, pairs, progress.update, name)
         change = f"fitted to the structures in {files}; what these lack is carried over"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, examples, show
-from modiolus.cli.outputs import use_of, whole_folder, write_report
+from modiolus.cli.outputs import own_heads, use_of, whole_folder, write_report
 from modiolus.errors import InputError, SolveError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -71,7 +71,7 @@ def morph(
     if notice is not None and not notice.is_file():
         raise InputError(f"--notice {notice}: no such file; check the path")
     name = folder_name("--out", out.resolve().name)
-    with whole_folder(out, marker="head.toml") as folder:
+    with whole_folder(out, "head.toml", sources=(to, *own_heads(head))) as folder:
         with Progress(f"morphing {source.name}", quiet=quiet) as progress:
             morphed, quality = build_subject(
                 source, Structures(surface), pairs, progress.update, name

@@ -8,18 +8,20 @@ import math
 import os
 import shlex
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from modiolus.errors import InputError
 from modiolus.progress import Interruption
 
-__all__ = ["as_text", "use_of", "whole_folder", "write_report"]
+__all__ = ["as_text", "own_heads", "use_of", "whole_folder", "write_report"]
 
 
 @contextlib.contextmanager
-def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[Path]:
+def whole_folder(
+    target: Path, marker: str, option: str = "--out", sources: Iterable[str | Path] = ()
+) -> Iterator[Path]:
     """Give a folder to write into, which becomes `target` only when the block ends well.
 
     The folder is made beside the target before any work begins, so that a place that cannot be
@@ -33,6 +35,8 @@ def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[P
         A file that tells such a folder from any other, which is not touched.
     option : str
         The option that named the place, for the message.
+    sources : iterable of str or Path
+        What the command reads, which may not be lost by being replaced.
 
     Yields
     ------
@@ -42,12 +46,12 @@ def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[P
     Raises
     ------
     InputError
-        If the place cannot be written, or holds something that is not ours.
+        If the place cannot be written, or holds something that is not ours or is being read.
     """
-    target = target.resolve()
     made: list[Path] = []
-    draft = target.parent / f".{target.name}.{os.getpid()}.part"
     try:
+        target = target.resolve()
+        draft = target.parent / f".{target.name}.{os.getpid()}.part"
         if target.exists() and not target.is_dir():
             raise NotADirectoryError(None, "it is a file, not a folder")
         if target.is_dir() and any(target.iterdir()) and not (target / marker).is_file():
@@ -57,12 +61,20 @@ def whole_folder(target: Path, marker: str, option: str = "--out") -> Iterator[P
             )
         if Path.cwd().is_relative_to(target):
             raise InputError(f"{option} {target}: this is where you are; name a folder inside")
+        for source in sources:
+            if target.exists() and Path(source).resolve().is_relative_to(target):
+                raise InputError(
+                    f"{option} {target}: {source} is read and would be replaced; "
+                    "name another folder"
+                )
         made = [parent for parent in target.parents if not parent.exists()]
         draft.mkdir(parents=True)
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
         _remove_empty(made)
+        # Links that go round in a circle are told without an error number.
+        why = getattr(error, "strerror", None) or "its links go round in a circle"
         raise InputError(
-            f"{option} {target}: cannot be written ({error.strerror}); name another folder"
+            f"{option} {target}: cannot be written ({why}); name another folder"
         ) from None
     try:
         yield draft
@@ -112,6 +124,13 @@ def _finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def own_heads(*heads: str) -> list[str]:
+    """Return those of some heads, given by name or folder, that are folders of one's own."""
+    from modiolus.face.head import head_names
+
+    return [head for head in heads if head and head not in head_names()]
 
 
 def use_of(head: Path) -> str:

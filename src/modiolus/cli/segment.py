@@ -64,7 +64,7 @@ def segment(
     from modiolus.anatomy.labels import label_surfaces, read_label_names
 
     names = read_label_names(labels)
-    with whole_folder(out, marker="report.json") as folder:
+    with whole_folder(out, "report.json", sources=(image, labels)) as folder:
         surfaces = label_surfaces(read_image(image), names)
         record: dict[str, Any] = {
             "image": str(image),
@@ -96,7 +96,7 @@ def _skin(path: Path, out: Path, as_json: bool, quiet: bool) -> None:
     from modiolus.view.slices import draw_slices
 
     with (
-        whole_folder(out, marker="report.json") as folder,
+        whole_folder(out, "skin.ply", sources=(path,)) as folder,
         Progress(f"segmenting {path.name}", quiet=quiet) as progress,
     ):
         image = read_image(path)

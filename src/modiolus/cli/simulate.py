@@ -23,7 +23,7 @@ from modiolus.cli.app import (
     face_settings,
     show,
 )
-from modiolus.cli.outputs import whole_folder
+from modiolus.cli.outputs import own_heads, whole_folder
 from modiolus.errors import InputError, SolveError, Stopped
 from modiolus.files import folder_name
 from modiolus.progress import Interruption
@@ -131,11 +131,16 @@ def simulate(
     name = folder_name("--name", name) if name else wanted.name
     jaw = opening(wanted.jaw_open if jaw_open is None else jaw_open)
     chosen = Head.load(head)
+    for named, part in ((expression, wanted.activations), ("--activation", given)):
+        try:
+            resolve(part, chosen.muscles)
+        except InputError as error:
+            raise InputError(f"{named}: {error}") from None
     activations = resolve({**wanted.activations, **given}, chosen.muscles, palsy)
     parameters = face_settings(settings)
     target = out / name
     earlier = _earlier(start, head, chosen) if start else None
-    with whole_folder(target, marker="report.json") as folder:
+    with whole_folder(target, "report.json", sources=own_heads(head)) as folder:
         from modiolus.cli.run import Runner
         from modiolus.mechanics import Interrupted, LoadNotReached
 

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from modiolus.cli.app import Json, Quiet, app, examples, show
-from modiolus.cli.outputs import use_of, whole_folder, write_report
+from modiolus.cli.outputs import own_heads, use_of, whole_folder, write_report
 from modiolus.errors import InputError
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -66,7 +66,7 @@ def upright(
     if _STANDING in source.about.get("provenance", {}):
         raise InputError(f"{head}: it stands already; name a head that was measured lying face up")
     name = folder_name("--out", out.resolve().name)
-    with whole_folder(out, marker="head.toml") as folder:
+    with whole_folder(out, "head.toml", sources=own_heads(head)) as folder:
         with Progress(f"turning {source.name} upright", quiet=quiet) as progress:
             found = turned(source, density, tolerance, report=progress.update)
         about = dict(source.about)

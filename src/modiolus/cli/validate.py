@@ -13,7 +13,7 @@ import typer
 from modiolus.cli.app import Json, Out, Quiet, app, examples, show
 from modiolus.cli.compare import Landmarks, Unit, text_table
 from modiolus.cli.identify import Further, expression_toml, identified, listed
-from modiolus.cli.outputs import whole_folder, write_report
+from modiolus.cli.outputs import own_heads, whole_folder, write_report
 from modiolus.errors import InputError, SolveError, unknown_name
 from modiolus.files import folder_name
 from modiolus.progress import Progress
@@ -93,7 +93,7 @@ def validate(
     chosen = Head.load(head or "taro")
     # What is not known is told before anything is computed.
     unknowns(chosen, None, (), further)
-    with whole_folder(target, marker="report.json") as draft:
+    with whole_folder(target, "report.json", sources=(folder, *own_heads(head))) as draft:
         from modiolus.face.landmarks import read_landmarks
         from modiolus.face.subject import Structures, build_subject
         from modiolus.scans.align import Alignment, align_to_neutral, register_scan
