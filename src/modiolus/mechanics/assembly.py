@@ -1,8 +1,8 @@
 """From element arrays to the global residual and the sparse tangent.
 
 A `Pattern` says which global parameters each element of a group touches. An `Assembly`
-holds the element arrays of one or more patterns and the map that sums them into the upper
-triangle of the global matrix. The map is made once; every later assembly is one pass.
+holds the element arrays of one or more patterns and lists the entries of the upper triangle of
+the global matrix. The list is made once; every later assembly is one pass.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from . import kernels
 from .laws import PAIRS, Array
 
 IntArray = NDArray[np.int64]
-Index = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,19 @@ class Pattern:
             vertices = np.zeros((n_hosts, 0), dtype=np.int64)
         return cls(params, counts, vertices)
 
+    def places(self, n_params: int) -> sp.csc_matrix:
+        """Return the place from 1 of the parameters of an element, (e, n_params)."""
+        hosts, places = np.nonzero(self.valid)
+        params = self.params[hosts, places]
+        return sp.csc_matrix((places + 1, (hosts, params)), shape=(len(self.params), n_params))
+
+    def corners(self, n_pressures: int) -> sp.csc_matrix:
+        """Return which pressures the elements touch, (e, n_pressures)."""
+        hosts = np.repeat(np.arange(len(self.vertices)), self.vertices.shape[1])
+        ones = np.ones(len(hosts), dtype=np.int64)
+        shape = len(self.vertices), n_pressures
+        return sp.csc_matrix((ones, (hosts, self.vertices.ravel())), shape=shape)
+
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Which places of ``params`` are not padding, (e, m)."""
@@ -99,20 +111,14 @@ class ElementArrays:
         ``v`` is 8, or 0 in groups without pressures.
     """
 
-    def __init__(self, pattern: Pattern, values: Array) -> None:
+    def __init__(self, pattern: Pattern) -> None:
         e, m = pattern.params.shape
         v = pattern.vertices.shape[1]
         self.pattern = pattern
         self.residual = np.zeros((e, m, 3))
         self.pressure_residual = np.zeros((e, v))
-        self.tangent = values[: e * 6 * m * m].reshape(e, 6, m, m)
-        self.coupling = values[e * 6 * m * m :].reshape(e, 3, m, v)
-
-    @staticmethod
-    def size(pattern: Pattern) -> int:
-        """Return the number of tangent and coupling values of a pattern."""
-        e, m = pattern.params.shape
-        return int(e * m * (6 * m + 3 * pattern.vertices.shape[1]))
+        self.tangent = np.zeros((e, len(PAIRS), m, m))
+        self.coupling = np.zeros((e, 3, m, v))
 
 
 class Assembly:
@@ -155,45 +161,37 @@ class Assembly:
         self.n_pressures = int(active.sum())
         self.n = self.n_displacements + self.n_pressures
 
-        sizes = [ElementArrays.size(pattern) for pattern in patterns]
-        self._values = np.zeros(sum(sizes))
-        ends = np.cumsum([0, *sizes])
-        self.groups = [
-            ElementArrays(pattern, self._values[start:end])
-            for pattern, start, end in zip(patterns, ends[:-1], ends[1:], strict=True)
-        ]
-        self._build_map(ends)
+        self.groups = [ElementArrays(pattern) for pattern in patterns]
+        self._places = [pattern.places(len(fixed)) for pattern in patterns]
+        corners = [pattern.corners(n_pressures) for pattern in patterns]
+        self._list_entries(sp.vstack(self._places), sp.vstack(corners))
 
-    def _build_map(self, offsets: IntArray) -> None:
-        pairs, nothing = np.array(PAIRS), np.empty(0, dtype=np.int32)
-
-        def entries(filled: IntArray, columns: Index, sources: Index) -> None:
-            for group, offset in zip(self.groups, offsets[:-1], strict=True):
-                pattern = group.pattern
-                kernels.list_entries(
-                    np.where(pattern.valid[:, :, None], self.equations[pattern.params], -1),
-                    self.pressure_equations[pattern.vertices],
-                    pairs,
-                    offset,
-                    filled,
-                    columns,
-                    sources,
-                )
-
-        counts = np.zeros(self.n, dtype=np.int64)
-        entries(counts, nothing, nothing)
-        rows = np.concatenate([[0], np.cumsum(counts)])
-        columns, self._sources = np.empty((2, rows[-1]), dtype=np.int32)
-        entries(rows[:-1].copy(), columns, self._sources)
-        self._indptr = np.empty(self.n + 1, dtype=np.int32)
-        self._indices, self._starts = kernels.merge_entries(
-            rows, columns, self._sources, self._indptr
-        )
+    def _list_entries(self, touched: sp.csc_matrix, corners: sp.csc_matrix) -> None:
+        """List the columns of every row; the diagonals are there even without a value."""
+        shared = sp.triu(touched.T @ sp.hstack([touched, corners]), format="csr")
+        equations = np.full((shared.shape[1], 3), -1, dtype=np.int32)
+        equations[: len(self.equations)] = self.equations
+        equations[len(self.equations) :, 0] = self.pressure_equations
+        near = shared[np.argwhere(self.equations >= 0)[:, 0]]
+        columns = equations[near.indices]
+        row = np.repeat(np.arange(near.shape[0], dtype=np.int32), np.diff(near.indptr))
+        upper = columns >= row[:, None]
+        pressures = np.arange(self.n_displacements, self.n, dtype=np.int32)
+        lengths = [np.bincount(row, upper.sum(axis=1)), np.ones(self.n_pressures)]
+        self._indices = np.concatenate([columns[upper], pressures])
+        self._indptr = np.cumsum(np.concatenate([[0], *lengths])).astype(np.int32)
 
     @property
     def traffic(self) -> tuple[int, int]:
         """Values of element tangents that go into the matrix, and entries that it has."""
-        return len(self._sources), len(self._indices)
+        read = 0
+        for group in self.groups:
+            pattern = group.pattern
+            free = (self.equations[pattern.params] >= 0) & pattern.valid[:, :, None]
+            n = free.sum(axis=(1, 2))
+            pressures = (self.pressure_equations[pattern.vertices] >= 0).sum(axis=1)
+            read += int((n * (n + 1) // 2 + n * pressures).sum())
+        return read, len(self._indices)
 
     def clear(self, tangents: bool) -> None:
         """Set the element arrays to zero but the first pattern's, which `kernels.bulk` fills.
@@ -237,8 +235,23 @@ class Assembly:
         extra : (n_displacements,) array, optional
             Added to the diagonal of the displacements.
         """
-        data = np.empty(len(self._indices))
-        kernels.gather(self._starts, self._sources, self._values, data)
+        data = np.zeros(len(self._indices))
+        for group, places in zip(self.groups, self._places, strict=True):
+            kernels.gather(
+                group.tangent,
+                group.coupling,
+                group.pattern.params,
+                group.pattern.counts,
+                group.pattern.vertices,
+                places.indptr,
+                places.indices,
+                places.data,
+                self.equations,
+                self.pressure_equations,
+                self._indptr,
+                self._indices,
+                data,
+            )
         if extra is not None:
             data[self._indptr[: len(extra)]] += extra
         return sp.csr_matrix((data, self._indices, self._indptr), shape=(self.n, self.n))

@@ -524,7 +524,13 @@ def volumetric(volume: Any, det: Any, kappa: Any, p: Any) -> Any:
     """
     if volume == MULTIPLIER:
         excess = det - 1.0
-        return (0.5 * kappa * excess + p) * excess, kappa * excess + p, kappa, excess, 1.0
+        return (
+            (0.5 * kappa * excess + p) * excess,
+            kappa * excess + p,
+            kappa,
+            excess,
+            1.0,
+        )
     log = np.log(det)
     if volume == INVERSE:
         # The residual of the pressure is not the derivative of this energy, which is 2 ln J.
@@ -535,7 +541,13 @@ def volumetric(volume: Any, det: Any, kappa: Any, p: Any) -> Any:
             2.0 * (det - 1.0),
             2.0 / det,
         )
-    return 0.5 * kappa * log**2, kappa * log / det, kappa * (1.0 - log) / det**2, 0.0, 0.0
+    return (
+        0.5 * kappa * log**2,
+        kappa * log / det,
+        kappa * (1.0 - log) / det**2,
+        0.0,
+        0.0,
+    )
 
 
 @njit(cache=True)
@@ -899,137 +911,76 @@ def fibres(
 
 
 @njit(cache=True, parallel=True)
-def gather(starts: Any, sources: Any, values: Any, out: Any) -> None:
-    """Sum ``values[sources[starts[k] : starts[k + 1]]]`` into ``out[k]``."""
-    for k in prange(len(starts) - 1):
-        total = 0.0
-        for s in range(starts[k], starts[k + 1]):
-            total += values[sources[s]]
-        out[k] = total
-
-
-@njit(cache=True)
-def list_entries(
+def gather(
+    tangent: Any,
+    coupling: Any,
+    params: Any,
+    counts: Any,
+    vertices: Any,
+    first: Any,
+    hosts: Any,
+    places: Any,
     equations: Any,
     pressures: Any,
-    pairs: Any,
-    first: Any,
-    filled: Any,
-    columns: Any,
-    sources: Any,
+    indptr: Any,
+    indices: Any,
+    out: Any,
 ) -> None:
-    """Say where the element tangents of one pattern go in the upper triangle.
-
-    Called first with empty ``columns``, to count the values of every row in ``filled``, and again
-    with the place of each row's next value in ``filled``.
+    """Add the element tangents of one pattern to the upper triangle of the matrix.
 
     Parameters
     ----------
-    equations : (e, m, 3) int array
-        Row of each component of each function, -1 where there is none.
-    pressures : (e, v) int array
+    tangent : (e, 6, m, m) array
+    coupling : (e, 3, m, v) array
+    params, counts, vertices : (e, m), (e,), (e, v) int arrays
+        Of the pattern.
+    first : (n_params + 1,) int array
+        Where the elements of each parameter begin in ``hosts``.
+    hosts, places : (k,) int arrays
+        An element of a parameter, and the parameter's place from 1 among those of the element.
+    equations : (n_params, 3) int array
+        Row of each component, one after the other, -1 where there is none.
+    pressures : (n_pressures,) int array
         The same for the pressures, beyond all the others.
-    pairs : (6, 2) int array
-        Components of the blocks.
-    first : int
-        Place of the pattern's first value among all values.
-    filled : (n,) int array, added to
-    columns, sources : (k,) int arrays, written
-        Column of every value, and its place among all values.
+    indptr, indices : (n + 1,), (entries,) int arrays
+        Where each row begins, and the columns, ascending in a row.
+    out : (entries,) array, added to
     """
-    n_elements, m, _ = equations.shape
-    v = pressures.shape[1]
-    fill = len(columns) > 0
-    coupling = first + n_elements * len(pairs) * m * m
-    for e in range(n_elements):
-        for pair in range(len(pairs)):
-            i, j = pairs[pair]
-            for a in range(m):
-                row = equations[e, a, i]
-                if row < 0:
-                    continue
-                for b in range(m):
-                    column = equations[e, b, j]
-                    if column < 0 or (i == j and row > column):
+    n = len(indptr) - 1
+    v = vertices.shape[1]
+    for a in prange(len(equations)):
+        r0, r1, r2 = equations[a]
+        head = r0 if r0 >= 0 else r1 if r1 >= 0 else r2
+        if head < 0 or first[a] == first[a + 1]:
+            continue
+        # A parameter's rows have the columns of its first one from their own diagonals on.
+        place = np.empty(n, np.int32)
+        for k in range(indptr[head], indptr[head + 1]):
+            place[indices[k]] = k - indptr[head]
+        least = (
+            r0 - head if r0 >= 0 else n,
+            r1 - head if r1 >= 0 else n,
+            r2 - head if r2 >= 0 else n,
+        )
+        start = (indptr[r0] - least[0], indptr[r1] - least[1], indptr[r2] - least[2])
+        for t in range(first[a], first[a + 1]):
+            e, own = hosts[t], places[t] - 1
+            block = tangent[e]
+            for b in range(own, counts[e]):
+                for j in range(3):
+                    column = equations[params[e, b], j]
+                    if column < 0:
                         continue
-                    low = min(row, column)
-                    if fill:
-                        columns[filled[low]] = max(row, column)
-                        sources[filled[low]] = first + ((e * len(pairs) + pair) * m + a) * m + b
-                    filled[low] += 1
-        for i in range(3):
-            for a in range(m):
-                row = equations[e, a, i]
-                if row < 0:
-                    continue
-                for s in range(v):
-                    if pressures[e, s] < 0:
-                        continue
-                    if fill:
-                        columns[filled[row]] = pressures[e, s]
-                        sources[filled[row]] = coupling + ((e * 3 + i) * m + a) * v + s
-                    filled[row] += 1
-
-
-@njit(cache=True)
-def merge_entries(rows: Any, columns: Any, sources: Any, indptr: Any) -> Any:
-    """Merge values of equal row and column; every diagonal is there even without a value.
-
-    Parameters
-    ----------
-    rows : (n + 1,) int array
-        Where the values of each row begin.
-    columns : (k,) int array
-    sources : (k,) int array, sorted by entry
-    indptr : (n + 1,) int array, written
-        Where the entries of each row begin.
-
-    Returns
-    -------
-    indices : (entries,) int array
-        Column of every entry, ascending in a row.
-    starts : (entries + 1,) int array
-        Where the sources of each entry begin.
-    """
-    n = len(rows) - 1
-    seen = np.full(n, -1, dtype=np.int64)
-    indptr[0] = 0
-    for row in range(n):
-        seen[row] = row
-        count = 1
-        for k in range(rows[row], rows[row + 1]):
-            if seen[columns[k]] != row:
-                seen[columns[k]] = row
-                count += 1
-        indptr[row + 1] = indptr[row] + count
-    indices = np.empty(indptr[n], dtype=np.int32)
-    starts = np.empty(indptr[n] + 1, dtype=np.int64)
-    starts[0] = 0
-    seen[:] = -1
-    place = np.empty(n, dtype=np.int64)
-    for row in range(n):
-        begin, end = indptr[row], indptr[row + 1]
-        indices[begin] = row
-        seen[row] = row
-        count = begin + 1
-        for k in range(rows[row], rows[row + 1]):
-            if seen[columns[k]] != row:
-                seen[columns[k]] = row
-                indices[count] = columns[k]
-                count += 1
-        indices[begin:end].sort()
-        for k in range(begin, end):
-            place[indices[k]] = k
-            starts[k + 1] = 0
-        for k in range(rows[row], rows[row + 1]):
-            starts[place[columns[k]] + 1] += 1
-        for k in range(begin, end):
-            starts[k + 1] += starts[k]
-        kept = sources[rows[row] : rows[row + 1]].copy()
-        for k in range(begin, end):
-            place[indices[k]] = starts[k]
-        for k in range(len(kept)):
-            column = columns[rows[row] + k]
-            sources[place[column]] = kept[k]
-            place[column] += 1
-    return indices, starts
+                    k = place[column]
+                    for i in range(3):
+                        if k >= least[i]:
+                            # Of the blocks 00, 01, 02, 11, 12, 22.
+                            pair = i + j + min(i, j, 1)
+                            value = block[pair, own, b] if i <= j else block[pair, b, own]
+                            out[start[i] + k] += value
+            for s in range(v):
+                column = pressures[vertices[e, s]]
+                if column >= 0:
+                    for i in range(3):
+                        if least[i] < n:
+                            out[start[i] + place[column]] += coupling[e, i, own, s]

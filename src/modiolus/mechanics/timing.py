@@ -124,7 +124,7 @@ def floor(problem: Problem, found: Mapping[str, float], machine: Machine) -> dic
     tangent = 1e-9 * (36.0 * points * functions**2 + 108.0 * points * functions).sum()
     out = {"tangent of the tissue": float(tangent / machine.double)}
     read, written = problem.assembly.traffic
-    out["gather"] = 1e-9 * (12.0 * read + 12.0 * written) / machine.memory
+    out["gather"] = 8e-9 * (read + written) / machine.memory
     if "factor_gflop" in found:
         out["factorisation"] = found["factor_gflop"] / machine.single
         out["solve"] = 2.0 * 4e-9 * found["factor_entries"] / machine.memory
