@@ -45,13 +45,8 @@ def basis_1d(xi: ArrayLike, derivative: int = 0) -> Array:
     (n, 2, 2) array
         ``[point, side, derivative]``.
     """
-    xi = np.asarray(xi, dtype=float)
-    out = np.zeros((*xi.shape, 2, 2))
-    for side in range(2):
-        for kind in range(2):
-            coefficients = polynomial.polyder(COEFFICIENTS[side, kind], derivative)
-            out[..., side, kind] = polynomial.polyval(xi, coefficients)
-    return out
+    coefficients = polynomial.polyder(COEFFICIENTS.T, derivative)
+    return np.asarray(polynomial.polyval(np.asarray(xi, dtype=float), coefficients).T)
 
 
 def smooth_step(values: ArrayLike) -> Array:

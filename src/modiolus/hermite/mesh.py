@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
@@ -16,6 +17,17 @@ from .check import numbers, whole
 from .locate import Location, locate
 from .quadrature import Quadrature, gauss
 from .rows import same_rows
+
+
+@njit(cache=True)
+def _sums(functions, local, elements):  # type: ignore[no-untyped-def]
+    """Return functions (n, m) times the local parameters (e, m, 3) of their elements, (n, 3)."""
+    out = np.zeros((len(functions), 3))
+    for point, element in enumerate(elements):
+        for a in range(functions.shape[1]):
+            for i in range(3):
+                out[point, i] += functions[point, a] * local[element, a, i]
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +128,7 @@ class HermiteMesh:
     ) -> Array:
         """Evaluate position, or a derivative of it, at points of elements; (n, 3)."""
         elements, functions = self._at(elements, xi, derivative)
-        return np.asarray(np.einsum("na,nai->ni", functions, self._local[elements]))
+        return np.asarray(_sums(functions, self._local, elements))
 
     def _at(
         self, elements: ArrayLike, xi: ArrayLike, derivative: Sequence[int] | None

@@ -535,16 +535,21 @@ def _springs(head: Head, measured: Head | None) -> Iterator[Springs]:
         return lambda load: np.asarray(rest + jaw.displacement(rest, load.jaw, share))
 
     carried = None if head.jaw is None else carry
-    for item in head.attachments.values():
-        yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "attachments", carried)
-    for item in head.insertions.values():
-        skin = head.skinward[item.elements], item.xi * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
-        yield Springs(head.tissue, item.elements, item.xi, item.stiffness, "insertions", to=skin)
+    tied, bound = (
+        [(item.elements, item.xi, item.stiffness) for item in items.values()]
+        for items in (head.attachments, head.insertions)
+    )
     for name, cut in cuts(head):
         if _in_neck(name):
             elements, xi, areas = face_points(head.tissue, *cut)
-            stiffness = NECK_STIFFNESS * areas
-            yield Springs(head.tissue, elements, xi, stiffness, "attachments", carried)
+            tied.append((elements, xi, NECK_STIFFNESS * areas))
+    if tied:
+        elements, xi, stiffness = map(np.concatenate, zip(*tied, strict=True))
+        yield Springs(head.tissue, elements, xi, stiffness, "attachments", carried)
+    if bound:
+        elements, xi, stiffness = map(np.concatenate, zip(*bound, strict=True))
+        skin = head.skinward[elements], xi * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
+        yield Springs(head.tissue, elements, xi, stiffness, "insertions", to=skin)
     if "cartilage" in head.deep:
         elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
         points = (measured or head).tissue.evaluate(elements, xi)
