@@ -34,9 +34,10 @@ def trilinear(xi: ArrayLike) -> Array:
     return out
 
 
-#: Overlap (mm) and volume ratios at a point beyond which a state is doubtful.
+#: Overlap (mm), volume ratios at a point and last correction (mm) beyond which a state is doubtful.
 OVERLAP = 0.3
 VOLUMES = 0.5, 1.6
+CORRECTION = 1e-3
 
 
 @dataclass
@@ -91,6 +92,9 @@ class Statistics:
             found.append(f"tissue is pressed to {self.J_min:.0%} of its volume at a point")
         if self.J_max > VOLUMES[1]:
             found.append(f"tissue is drawn to {self.J_max:.0%} of its volume at a point")
+        if self.correction_mm > CORRECTION:
+            moved = f"{self.correction_mm:.3f} mm"
+            found.append(f"the last correction still moved the tissue by {moved}")
         if self.jumps:
             found.append("the path ended on the way, and the tissue went over to a state elsewhere")
         return tuple(found)
