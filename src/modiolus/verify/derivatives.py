@@ -28,6 +28,7 @@ from ..mechanics import (
     PointTerm,
     Problem,
     RigidContact,
+    Sheet,
     Springs,
     SurfaceContact,
     Tension,
@@ -79,12 +80,14 @@ def terms(mesh: HermiteMesh) -> dict[str, PointTerm]:
         hosts, xi, weights, directions, np.repeat([0, 1], 20), np.repeat(range(8), 5), weights / 500
     )
     inner = face_points(mesh, np.arange(4), 2, 0, 3)
+    some = rng.integers(0, 4, 12), rng.uniform(size=(12, 3)), rng.uniform(1, 50, 12)
+    others = rng.integers(0, 4, 12), rng.uniform(size=(12, 3))
     return {
         "fibres": Fibres(mesh, rule, ("first", "second"), FibreLaw(optimal=1.1), {"second": 0.9}),
         "gliding fibres": GlidingFibres(mesh, bundles, ("first", "second")),
-        "springs": Springs(
-            mesh, rng.integers(0, 4, 12), rng.uniform(size=(12, 3)), rng.uniform(1, 50, 12)
-        ),
+        "springs": Springs(mesh, *some),
+        "bonds": Springs(mesh, *some, "bonds", to=others),
+        "sheet": Sheet(mesh, hosts, xi, 1e3 * weights),
         "rigid contact": RigidContact(
             mesh, Sphere((10, 8, -30), 30.3), *inner, slide=np.full(len(inner[0]), 0.2)
         ),
@@ -162,6 +165,15 @@ def finite_differences(fine: bool) -> list[Check]:
     fixed = clamp(mesh, [0, 2], 0, 0)
     found: dict[str, tuple[float, float]] = {
         "tissue": differences(Problem(mesh, [2.0, 1.1, 0.4], kappa=20.0, fixed=fixed)),
+        "tissue, plain invariants": differences(
+            Problem(
+                mesh,
+                [2.0, 6.0, 0.0],
+                kappa=20.0,
+                formulation=Formulation(Law.PLAIN),
+                fixed=fixed,
+            )
+        ),
         "tissue, Guccione": differences(
             Problem(
                 mesh,
@@ -184,6 +196,7 @@ def finite_differences(fine: bool) -> list[Check]:
     for name, term in terms(mesh).items():
         found[name] = differences(soft(mesh, [term], fixed))
     found["surface contact"] = surfaces()
+    found["surface contact, at an edge"] = edges()
     # Only a closed surface's pressure has an energy; an open one's stiffness is symmetrised.
     free = np.zeros_like(fixed)
     found["follower pressure, all round"] = differences(soft(mesh, all_round(mesh), free))
@@ -207,6 +220,20 @@ def surfaces() -> tuple[float, float]:
     moved = np.random.default_rng(9).uniform(-0.3, 0.3, mesh.parameters.shape)
     # The parameters of the lower block come first: 3 x 4 x 2 nodes.
     moved[: 8 * 24 : 8, 2] += 0.3
+    return differences(problem, moved)
+
+
+def edges() -> tuple[float, float]:
+    """Compare the contact of two blocks, the end of one on the edge of the other."""
+    ticks = np.array([0.0, 20.0]), np.array([0.0, 16.0]), np.array([-6.0, 0.0])
+    beside = np.array([19.92, 35.0]), np.array([1.0, 15.0]), np.array([0.0, 6.0])
+    mesh, upper, lower = blocks(ticks, beside)
+    contact = SurfaceContact(mesh, upper, lower, flanks=((), [(lower[0], 0, 1)]))
+    assert contact.edges is not None
+    problem = soft(mesh, [contact, contact.edges], np.zeros((mesh.n_params, 3), dtype=bool))
+    moved = np.random.default_rng(9).uniform(-0.02, 0.02, mesh.parameters.shape)
+    # The parameters of the lower block come first: 2 x 2 x 2 nodes.
+    moved[64::8, 2] -= 0.1
     return differences(problem, moved)
 
 
