@@ -17,6 +17,8 @@ from modiolus.errors import InputError
 from modiolus.progress import Progress
 
 if TYPE_CHECKING:
+    from modiolus.face.expression import Expression
+    from modiolus.face.head import Head
     from modiolus.mechanics import Problem, State
     from modiolus.mechanics.timing import Machine
 
@@ -54,7 +56,7 @@ def bench(
     An expression is solved cold, from rest, and warm, from there to 0.9 times its activations. The
     parts of an iteration stand beside the least time in which the machine could do them.
     """
-    from modiolus.face.expression import Expression, expression_names, resolve
+    from modiolus.face.expression import Expression, expression_names
 
     every = [Expression.named(name) for name in names or expression_names()]
     sided = [e.name for e in every if any(m.endswith(("_left", "_right")) for m in e.activations)]
@@ -69,9 +71,8 @@ def bench(
         seconds["import of the mechanics"] = _fresh("import modiolus.mechanics.face")
         from modiolus.face.head import Head
         from modiolus.face.refine import refined
-        from modiolus.mechanics import Continuation
         from modiolus.mechanics.convergence import inherited
-        from modiolus.mechanics.face import face_load, face_problem
+        from modiolus.mechanics.face import face_problem
         from modiolus.mechanics.timing import Machine, least
 
         able = Machine.measured()
@@ -85,27 +86,10 @@ def bench(
         problem = face_problem(model)
         seconds["first set-up"] = time.perf_counter() - began
         seconds["set-up"] = least(lambda: face_problem(model), 2)
-        record["points"] = {"fibres": 0, "contact": 0}
-        for term in problem.terms:
-            for kind in record["points"]:
-                record["points"][kind] += len(term.hosts) * (kind in term.name)
+        record["points"] = _points(problem)
         for done, expression in enumerate(chosen):
             progress.update(2 + done, expression.name)
-            activations = resolve(expression.activations, model.muscles)
-            path = Continuation(problem)
-            jaw = math.radians(expression.jaw_open)
-            cold = path.run(face_load(problem, model, activations, jaw))
-            less = {muscle: WARM * value for muscle, value in activations.items()}
-            warm = path.run(face_load(problem, model, less, jaw))
-            record["expressions"][expression.name] = {
-                "cold_s": cold.statistics.solve_s,
-                "iterations": cold.statistics.newton_iterations,
-                "factorisations": cold.statistics.factorisations,
-                "warm_s": warm.statistics.solve_s,
-                "warm_iterations": warm.statistics.newton_iterations,
-                "warm_factorisations": warm.statistics.factorisations,
-                "max_penetration_mm": cold.statistics.max_penetration_mm,
-            }
+            cold, record["expressions"][expression.name] = _solved(problem, model, expression)
             if not done:
                 record["meshes"].append(_mesh(problem, cold, able))
                 base = cold
@@ -121,6 +105,44 @@ def bench(
 
     record["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     show(record, _text(record), as_json, quiet)
+
+
+def _points(problem: Problem) -> dict[str, int]:
+    """Count the points at which muscles pull and things touch."""
+    from modiolus.mechanics import Fibres, RigidContact, SurfaceContact
+
+    points = {"fibres": 0, "contact": 0}
+    for term in problem.terms:
+        if isinstance(term, Fibres):
+            points["fibres"] += len(term.quadrature.weights)
+        elif isinstance(term, RigidContact | SurfaceContact):
+            points["contact"] += len(term.stiffness)
+    return points
+
+
+def _solved(problem: Problem, head: Head, expression: Expression) -> tuple[State, dict[str, Any]]:
+    """Solve an expression cold and warm; return the state of the former, and how both went."""
+    from modiolus.face.expression import resolve
+    from modiolus.mechanics import Continuation
+    from modiolus.mechanics.face import face_load
+
+    path = Continuation(problem)
+    activations, jaw = (
+        resolve(expression.activations, head.muscles),
+        math.radians(expression.jaw_open),
+    )
+    cold = path.run(face_load(problem, head, activations, jaw))
+    less = {muscle: WARM * value for muscle, value in activations.items()}
+    warm = path.run(face_load(problem, head, less, jaw)).statistics
+    return cold, {
+        "cold_s": cold.statistics.solve_s,
+        "iterations": cold.statistics.newton_iterations,
+        "factorisations": cold.statistics.factorisations,
+        "warm_s": warm.solve_s,
+        "warm_iterations": warm.newton_iterations,
+        "warm_factorisations": warm.factorisations,
+        "max_penetration_mm": cold.statistics.max_penetration_mm,
+    }
 
 
 def _mesh(problem: Problem, state: State, able: Machine) -> dict[str, Any]:

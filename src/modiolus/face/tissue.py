@@ -100,7 +100,7 @@ LEAST = 3.2
 #: Least thickness of the lids and of the nose's skin, and of the skin of the temple (mm).
 LEAST_LID, LEAST_TEMPLE = 1.6, 1.5
 
-#: Sides of the mesh by name: (axis, side).
+#: Sides of some elements: which, and where ``xi_axis`` equals the side; see `HermiteMesh.face`.
 Side = tuple[NDArray[np.int64], int, int]
 
 
