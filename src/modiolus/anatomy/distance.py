@@ -175,7 +175,8 @@ class DistanceGrid:
             place = (origin[axis] + spacing * np.arange(count) - self.origin[axis]) / self.spacing
             inside.append((place >= 1.0) & (place <= size - 2.0))
             cell = np.clip(place.astype(int), 1, size - 3)
-            t = place - cell
+            # What rounding leaves of 0 has cubes that slow the products down threefold.
+            t = np.round(place - cell, 12)
             weights = np.zeros((count, size), dtype=np.float32)
             for k, weight in enumerate(
                 (

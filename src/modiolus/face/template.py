@@ -15,7 +15,6 @@ from typing import TypeVar
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.interpolate import RBFInterpolator
 
 from ..anatomy.surface import Surface
 from ..hermite import HermiteMesh
@@ -381,6 +380,9 @@ def place_nodes(plan: Layout, skin: Surface) -> Array:
         hit = skin.first_hits(origins + shift, np.array([0.0, 1.0, 0.0]))
         rims[part] = np.column_stack([origins[:, 0], hit[:, 1], origins[:, 2]])
     middle[:, 1] = 0.5 * (rims["lower"][:, 1] + rims["upper"][:, 1])
+    # Slow to import, and of all commands only a build needs it.
+    from scipy.interpolate import RBFInterpolator
+
     spline = RBFInterpolator(
         np.vstack([keys, lids]), np.vstack([points, middle]), kernel="thin_plate_spline"
     )

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 from ..anatomy.distance import DistanceGrid
@@ -181,6 +180,9 @@ def _lattice(surface: HermiteMesh, divisions: int) -> _Lattice:
 
 
 def _depth_limit(place: Array) -> Array:
+    # Slow to import, and of all commands only a build needs it.
+    from scipy.interpolate import RBFInterpolator
+
     spline = RBFInterpolator(
         np.array(list(DEPTHS), dtype=float), np.array(list(DEPTHS.values())), kernel="linear"
     )

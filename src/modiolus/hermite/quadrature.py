@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from ..errors import InputError
 from .basis import Array, IntArray
+
+_legendre = cache(np.polynomial.legendre.leggauss)
 
 
 def gauss(dim: int, n: int) -> tuple[Array, Array]:
@@ -27,7 +30,7 @@ def gauss(dim: int, n: int) -> tuple[Array, Array]:
     """
     if dim < 1 or n < 1:
         raise InputError(f"rule: {n} points a direction in {dim}; give at least one of each")
-    return _tensor(dim, *np.polynomial.legendre.leggauss(n))
+    return _tensor(dim, *_legendre(n))
 
 
 def trapezoidal(dim: int, n: int) -> tuple[Array, Array]:
