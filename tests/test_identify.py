@@ -250,12 +250,6 @@ def test_the_gradient_of_the_distances_agrees_with_finite_differences(taro, skin
         assert abs(gradient) > 1e-3
 
 
-def found_with(covariance):
-    items = tuple(Unknown(name, 0.0, 1.0, 1.0) for name in "abc")
-    values = dict.fromkeys("abc", 0.5)
-    return Identification(items, values, covariance, None, None, STILL, (0.3,), 1)
-
-
 def test_what_is_no_skin_at_rest_is_not_matched(taro, skin):
     rest = taro.tissue.parameters
     surface = skin.surface(rest)

@@ -174,12 +174,10 @@ def heavy_face(
 
 @dataclass(frozen=True)
 class Upright:
-    """A head measured lying on its back, and the same standing.
+    """A head that was measured lying on its back, standing.
 
     Attributes
     ----------
-    supine : Head
-        As given.
     free : Head
         Without gravity.
     head : Head
@@ -190,7 +188,6 @@ class Upright:
         The equilibrium upright; its reference is the shape without gravity.
     """
 
-    supine: Head
     free: Head
     head: Head
     gaps: list[float]
@@ -227,7 +224,6 @@ def upright(
     problem = heavy_face(head, free.mesh, UPRIGHT, density, settings)
     state = Continuation(problem, settings=TIGHT).run(LOAD)
     return Upright(
-        head,
         moved_head(head, free.mesh.parameters),
         moved_head(head, state.parameters),
         free.gaps,
