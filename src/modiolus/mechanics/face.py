@@ -15,7 +15,7 @@ from ..errors import InputError, unknown_name
 from ..face.embed import CELL, cell_points
 from ..face.expression import Expression, resolve
 from ..face.head import Head
-from ..face.jaw import FOLLOWERS, Jaw, opening
+from ..face.jaw import FOLLOWERS, WIDEST, Jaw, opening
 from ..face.refine import at_gauss
 from ..face.tissue import Side
 from ..hermite import symmetry_plane
@@ -190,7 +190,7 @@ class Face:
         activations : mapping of str to float
             0..1 by muscle or group of muscles, with ``_left`` or ``_right`` for one side.
         jaw_open : float
-            Angle in radians.
+            Angle in radians, 0 to that of 30°; see `modiolus.face.jaw.opening`.
         start : State, optional
             Where to begin; rest by default. From a state of both sides the way stays on both.
         report : callable, optional
@@ -199,10 +199,17 @@ class Face:
         Raises
         ------
         InputError
-            If a muscle is not known, an activation is not within 0..1, or the head has no jaw.
+            If a muscle is not known, an activation is not within 0..1, the angle is none to which a
+            jaw opens, or the head has no jaw.
         LoadNotReached
             The computation stopped on the way; it has the last state.
         """
+        # Degrees would turn the jaw round several times.
+        if not -1e-9 <= jaw_open <= opening(WIDEST) + 1e-9:
+            raise InputError(
+                f"jaw_open: {jaw_open:g} is not within 0 to {opening(WIDEST):.3f} radians; give an "
+                "angle in there, such as modiolus.face.jaw.opening(12.0)"
+            )
         wanted = resolve(activations, self.head.muscles)
         if set(wanted) <= set(self.head.muscles) and (start is None or self._is_half(start)):
             problem, head = self.half, self.head
