@@ -288,7 +288,8 @@ def test_quiet_says_nothing(run):
     assert run("beam", "--activation", "0.001", "--quiet") == (0, "", "")
 
 
-def test_interruption_leaves_nothing(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_interruption_leaves_nothing(tmp_path, number):
     process = subprocess.Popen(
         [sys.executable, "-c", "from modiolus.cli import main; main()", "simulate", "terror"],
         cwd=tmp_path,
@@ -299,7 +300,7 @@ def test_interruption_leaves_nothing(tmp_path):
     deadline = time.monotonic() + 60.0
     while not list(tmp_path.glob("out/.*.part")) and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, error = process.communicate(timeout=60.0)
     assert process.returncode == 130
     assert out == ""
@@ -353,7 +354,7 @@ def test_catalogue_shows_how_far_a_muscle_came(run, monkeypatch, tmp_path):
 def test_lost_interruption_is_raised_again(tmp_path, monkeypatch):
     lost = []
     monkeypatch.setattr(sys, "unraisablehook", lambda event: lost.append(event.exc_type))
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     callback = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
     try:
         Interruption.listen()
@@ -370,7 +371,9 @@ def test_lost_interruption_is_raised_again(tmp_path, monkeypatch):
         Interruption.listen()
         Interruption.check()
     finally:
-        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
+        for number, handler in zip(
+            (signal.SIGINT, signal.SIGTERM, signal.SIGHUP), before, strict=True
+        ):
             signal.signal(number, handler)
 
 

@@ -18,7 +18,7 @@ _TOLD_FROM = 0.1
 
 
 class Interruption:
-    """Ctrl-C or a polite kill, which ends the work even where its exception gets lost.
+    """Ctrl-C, a polite kill or a closed terminal: it ends the work even where its exception is lost.
 
     Python drops an exception that is raised while a C library calls back, as compilers of kernels
     and solvers do; so the request is kept, and `check` raises it again.
@@ -28,10 +28,11 @@ class Interruption:
 
     @classmethod
     def listen(cls) -> None:
-        """Answer SIGINT and SIGTERM from now on."""
+        """Answer Ctrl-C, a polite kill and the end of the terminal from now on."""
         cls._asked = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            # A shell starts what it puts into the background with SIGINT ignored.
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            # A shell starts what it puts into the background with SIGINT ignored, and nohup what
+            # is to outlive the terminal with SIGHUP.
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, cls._answer)
 
