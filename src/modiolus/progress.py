@@ -18,7 +18,7 @@ _TOLD_FROM = 0.1
 
 
 class Interruption:
-    """Ctrl-C, a polite kill or a closed terminal: it ends the work even where its exception is lost.
+    """Ctrl-C, a polite kill or a closed terminal; ends work even if its exception is lost.
 
     Python drops an exception that is raised while a C library calls back, as compilers of kernels
     and solvers do; so the request is kept, and `check` raises it again.
