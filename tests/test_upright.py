@@ -69,7 +69,6 @@ def test_a_face_is_recovered_from_lying(block_head: Head) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="0.063 mm at the worst point, on the skin's present bonds")
 def test_taro_is_recovered_from_lying() -> None:
     recovered(Head.load("taro"), DENSITY, moved=0.4, within=0.05)
 
@@ -81,7 +80,8 @@ def recovered(head: Head, density: float, moved: float, within: float) -> None:
         return heavy_face(head, shape, SUPINE, density)
 
     lying = Continuation(build(head.tissue), settings=TIGHT).run(LOAD).mesh
-    found = unloaded(build, lying, 0.05 * within, TIGHT)
+    # How hard a lip rests on the teeth hardly shows in an equilibrium: shapes are off by more.
+    found = unloaded(build, lying, 0.02 * within, TIGHT)
     elements, xi, _ = lying.gauss_points(4)
     points = lying.functions(elements, xi)
     sag, gap = (
