@@ -345,6 +345,14 @@ def test_a_missing_file_is_named(folder, name):
     refused(folder, name)
 
 
+def test_an_archive_of_somebody_else_is_told_so(folder, monkeypatch):
+    def denied(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(zipfile, "ZipFile", denied)
+    refused(folder, "tissue.npz", "Permission denied")
+
+
 @pytest.mark.parametrize("name", ["tissue.npz", "muscles.npz", "deep.npz"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
 def test_a_truncated_archive_is_refused(folder, name, share):

@@ -104,7 +104,7 @@ def _one_line(error: Exception) -> str:
         text = f"{text.rstrip('.')}; see {context.command_path} --help"
     # Of a value that is of the wrong kind the option comes first, as everywhere.
     text = re.sub(
-        r"^Invalid value for '(.+?)': Input (.+?)(, unable.*)?$", r"\1: \2; mend it", text
+        r"^Invalid value for '(.+?)': (?:Input )?(.+?)(, unable.*)?\.?$", r"\1: \2; mend it", text
     )
     return " ".join(text.split())
 

@@ -504,7 +504,6 @@ def read_arrays(path: Path, mend: str = "build or copy the head anew") -> dict[s
     InputError
         It is missing, damaged or far too large.
     """
-    damaged = f"{path}: cannot be read as arrays; it may be truncated, {mend}"
     try:
         with zipfile.ZipFile(path) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > _LARGEST:
@@ -515,10 +514,12 @@ def read_arrays(path: Path, mend: str = "build or copy the head anew") -> dict[s
         raise InputError(f"{path}: no such file; {mend}") from error
     except InputError:
         raise
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(damaged) from error
-    except Exception as error:  # zlib raises its own kind for damaged streams
-        raise InputError(damaged) from error
+    except PermissionError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); ask its owner") from error
+    except Exception as error:  # zlib, zipfile and NumPy raise kinds of their own
+        raise InputError(
+            f"{path}: cannot be read as arrays; it may be truncated, {mend}"
+        ) from error
 
 
 def _grouped(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, NDArray[Any]]]:
