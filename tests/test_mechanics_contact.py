@@ -96,6 +96,21 @@ def test_force_follows_a_point_that_slides_over_the_border_of_an_element():
             assert contact.penetration(moved) == pytest.approx(0.4)
 
 
+def test_only_points_that_are_pressed_are_followed():
+    mesh, upper, lower = stacked(0.0)
+    contact = SurfaceContact(mesh, upper, lower)
+    moved = mesh.parameters.copy()
+    values = upper_part(mesh, upper)[::8]
+    # One end of the upper block sinks in, the other rises.
+    moved[values, 2] += 0.05 * (moved[values, 0] - 9.0)
+    depth = contact.depth(moved, Load())
+    assert 0 < (depth > 0.0).sum() < len(depth)
+    assert len(contact.follow(moved, Load())[0]) == 6 * (depth > 0.0).sum()
+    # Offsets press points that do not touch yet.
+    pressed = Load(offsets={contact.name: np.full(len(depth), 1.0)})
+    assert len(contact.follow(moved, pressed)[0]) == 6 * len(depth)
+
+
 def test_a_body_without_flanks_goes_on_for_its_own_width():
     mesh, upper, lower = stacked(0.0, (1, 1, 1), (1, 1, 1))
     contact = SurfaceContact(mesh, upper, lower, stiffness=20.0, onset=0.0)
@@ -167,7 +182,7 @@ def test_far_surfaces_cost_nothing_and_do_not_meet():
     assert contact.penetration(mesh.parameters) == 0.0
     moved = mesh.parameters.copy()
     moved[upper_part(mesh, upper)[::8]] += [0.0, 0.0, 30.0]
-    functions, _ = contact.follow(moved)
+    functions, _ = contact.follow(moved, Load())
     assert len(functions) == 0
 
 

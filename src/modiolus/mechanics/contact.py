@@ -121,20 +121,9 @@ class RigidContact(PointTerm):
         )
         return Response(energies, slope[:, None] * gradient, stiffness)
 
-    def augmented(self, parameters: Array, load: Load) -> Array:
-        """Return the offsets that would keep the present forces without overlap, (n,)."""
-        distance, _, _ = self.sample(self.points(parameters), load)
-        return np.maximum(self.least - distance + load.offsets.get(self.name, 0.0), 0.0)
-
-    def depth(self, vectors: Array, load: Load) -> Array:
+    def depth(self, parameters: Array, load: Load) -> Array:
         """Return how much deeper than at rest the points are below the surface in mm, (n,)."""
-        distance, _, _ = self.sample(vectors, load)
-        return np.maximum(self.least - distance, 0.0)
-
-    def penetration(self, parameters: Array, load: Load | None = None) -> float:
-        """Return the greatest depth below the body's surface beyond that at rest, in mm."""
-        vectors = self.points(parameters)
-        return float(self.depth(vectors, Load() if load is None else load).max(initial=0.0))
+        return np.asarray(self.least - self.sample(self.points(parameters), load)[0])
 
 
 class SurfaceContact(PointTerm):
@@ -212,10 +201,11 @@ class SurfaceContact(PointTerm):
         """Return the pattern of the pairs of patches that may meet."""
         return self._meetings.pattern
 
-    def follow(self, parameters: Array) -> tuple[Array, IntArray]:
-        """Project the points anew and return the functionals of those that face one side."""
+    def follow(self, parameters: Array, load: Load) -> tuple[Array, IntArray]:
+        """Project the points anew and return the functionals of those pressed by one side."""
         found = self.facing.project(parameters)
-        points = np.flatnonzero((found.host[:, 0] >= 0) & (found.host[:, 1] < 0))
+        pressed = self.pressed(parameters, load) > 0.0
+        points = np.flatnonzero(pressed & (found.host[:, 1] < 0))
         host, xi = found.host[points, :1], found.xi[points, :1]
         functions, starts, order = self._meetings.functionals(points, host, xi)
         self._points, self._sign = points[order], self.facing.master.sign[host[order, 0]]
@@ -256,14 +246,17 @@ class SurfaceContact(PointTerm):
         energies, slope, bend = (self.stiffness[points] * p for p in penalty(depth, self.onset))
         return energies, slope, bend
 
-    def augmented(self, parameters: Array, load: Load) -> Array:
-        """Return the offsets that would keep the present forces without overlap, (n,)."""
-        distance = self.facing.project(parameters).distance
-        return np.maximum(self.facing.least - distance + load.offsets.get(self.name, 0.0), 0.0)
+    def depth(self, parameters: Array, load: Load) -> Array:
+        """Return how much deeper than at rest each point is inside the master in mm, (n,)."""
+        return np.asarray(self.facing.least - self.facing.project(parameters).distance)
+
+    def pressed(self, parameters: Array, load: Load) -> Array:
+        """Return the depths of all points that the penalty sees, with the offsets, (n,)."""
+        return np.asarray(self.depth(parameters, load) + load.offsets.get(self.name, 0.0))
 
     def pressure(self, parameters: Array, load: Load) -> tuple[Array, Array]:
         """Return the points (n, 3) and the pressure on them by the area at rest (n,) in kPa."""
-        slope = penalty(self.augmented(parameters, load), self.onset)[1]
+        slope = penalty(self.pressed(parameters, load), self.onset)[1]
         return self.points(parameters), self.stiffness * slope / self.areas
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
@@ -302,11 +295,12 @@ class EdgeContact(PointTerm):
         """Return the pattern of a patch of the slave with two of the master that share an edge."""
         return self._meetings.pattern
 
-    def follow(self, parameters: Array) -> tuple[Array, IntArray]:
-        """Return the functionals of the points that face two sides."""
+    def follow(self, parameters: Array, load: Load) -> tuple[Array, IntArray]:
+        """Return the functionals of the points pressed by two sides."""
         facing = self._contact.facing
         found = facing.project(parameters)
-        points = np.flatnonzero(found.host[:, 1] >= 0)
+        pressed = self._contact.pressed(parameters, load) > 0.0
+        points = np.flatnonzero(pressed & (found.host[:, 1] >= 0))
         order = np.argsort(found.host[points], axis=1)
         host = np.take_along_axis(found.host[points], order, axis=1)
         xi = np.take_along_axis(found.xi[points], order[:, :, None], axis=1)

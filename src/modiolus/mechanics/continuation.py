@@ -444,7 +444,7 @@ class Continuation:
             size = max(self.problem.size(change), self._lag(change, there))
             if size >= settings.passing:
                 return size < tolerance
-            return size < tolerance or self.problem.penetration(there.parameters, load) > overlap
+            return size < tolerance or self.problem.overlap(there.parameters, load) > overlap
 
         change = -self.solver.solve(here.evaluation.residual)
         here, size, settled = self._settle(here, change, load, enough)

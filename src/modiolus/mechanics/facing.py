@@ -46,6 +46,10 @@ FREE = 0.5
 EDGE = 0.16
 #: Widths of a patch beyond the master's border at which points far from all flanks are before them.
 ROOM = 0.1
+#: Length of Newton's last step in local coordinates: what it leaves is less than rounding.
+SETTLED = 1e-7
+#: Parts of a patch's diagonal that its points are away from the nearest sample at most.
+SPACING = 0.25
 #: How many times a width beyond an edge to a neighbour counts, which is there to be met instead.
 ASIDE = 4.0
 
@@ -97,19 +101,40 @@ def patch_functions(s: Any, t: Any, out: Any) -> None:
 
 
 @njit(cache=True)
-def closest_of(local: Any, point: Any, xi: Any, functions: Any, values: Any) -> Any:
+def _place(local: Any, s: Any, t: Any, a: Any, b: Any, values: Any) -> None:
+    """Write a point of a patch and its derivatives 1, 2, 11, 12, 22; (6, 3).
+
+    Both directions are summed one after the other; ``a`` and ``b`` (3, 4) are for their functions.
+    """
+    _cubic(s, a)
+    _cubic(t, b)
+    values[:] = 0.0
+    for p in range(4):
+        for i in range(3):
+            along = first = second = 0.0
+            for q in range(4):
+                x = local[4 * (p // 2 + 2 * (q // 2)) + p % 2 + 2 * (q % 2), i]
+                along += b[0, q] * x
+                first += b[1, q] * x
+                second += b[2, q] * x
+            values[0, i] += a[0, p] * along
+            values[1, i] += a[1, p] * along
+            values[2, i] += a[0, p] * first
+            values[3, i] += a[2, p] * along
+            values[4, i] += a[1, p] * first
+            values[5, i] += a[0, p] * second
+
+
+@njit(cache=True)
+def closest_of(local: Any, point: Any, xi: Any, values: Any) -> Any:
     """Newton's method for the closest point of a patch, from ``xi`` on, which is overwritten.
 
-    ``functions`` (6, 16) and ``values`` (6, 3) are left at the last point. Returns whether
-    the search has settled.
+    ``values`` (6, 3) are left as they were before the last step, which is shorter than `SETTLED`.
+    Returns whether the search has settled.
     """
+    a, b = np.empty((3, 4)), np.empty((3, 4))
     for _ in range(40):
-        patch_functions(xi[0], xi[1], functions)
-        values[:] = 0.0
-        for d in range(6):
-            for k in range(16):
-                for i in range(3):
-                    values[d, i] += functions[d, k] * local[k, i]
+        _place(local, xi[0], xi[1], a, b, values)
         r0 = r1 = a00 = a01 = a11 = k00 = k01 = k11 = 0.0
         for i in range(3):
             w = point[i] - values[0, i]
@@ -131,11 +156,15 @@ def closest_of(local: Any, point: Any, xi: Any, functions: Any, values: Any) -> 
         d0 = (m11 * r0 - m01 * r1) / det
         d1 = (m00 * r1 - m01 * r0) / det
         length = max(abs(d0), abs(d1))
-        if length < 1e-12:
+        factor = 0.5 / max(length, 0.5)
+        before0, before1 = xi[0], xi[1]
+        xi[0] = min(1.0 + BEYOND, max(-BEYOND, before0 + factor * d0))
+        xi[1] = min(1.0 + BEYOND, max(-BEYOND, before1 + factor * d1))
+        if length < SETTLED:
             return True
-        factor = min(1.0, 0.5 / length)
-        xi[0] = min(2.0, max(-1.0, xi[0] + factor * d0))
-        xi[1] = min(2.0, max(-1.0, xi[1] + factor * d1))
+        # What leads on where the patch ends leads nowhere.
+        if max(abs(xi[0] - before0), abs(xi[1] - before1)) < 0.1 * factor * length:
+            return False
     return False
 
 
@@ -161,9 +190,11 @@ def _sampled(parameters: Any, patches: Any, extraction: Any) -> Any:
             for k in range(16):
                 for i in range(3):
                     samples[f, c, i] += functions[0, k] * local[f, k, i]
-        for i in range(3):
-            size[f] += (samples[f, 0, i] - samples[f, SAMPLES * SAMPLES - 1, i]) ** 2
-        size[f] = np.sqrt(size[f])
+        for one, other in ((0, SAMPLES * SAMPLES - 1), (SAMPLES - 1, SAMPLES * (SAMPLES - 1))):
+            diagonal = 0.0
+            for i in range(3):
+                diagonal += (samples[f, one, i] - samples[f, other, i]) ** 2
+            size[f] = max(size[f], np.sqrt(diagonal))
     return local, samples, size
 
 
@@ -225,7 +256,6 @@ def _closest_patch(
     side: Any,
     near: Any,
     seed: Any,
-    beyond: Any,
     xi: Any,
 ) -> Any:
     """Return the patch of a side that a point faces, its gap and how far outside the foot is.
@@ -233,22 +263,22 @@ def _closest_patch(
     The patches are tried in the order of their nearest sample, until none can be closer. The
     foot is written to ``xi``; ``near`` is used up.
     """
-    functions, values = np.empty((6, 16)), np.empty((6, 3))
-    trial = np.empty(2)
+    values, trial = np.empty((6, 3)), np.empty(2)
     patch = -1
     least = over = np.inf
     for _ in range(len(side)):
         first = np.argmin(near)
         f = side[first]
-        if near[first] == np.inf or (over <= 1e-9 and near[first] > (abs(least) + size[f]) ** 2):
+        reach = abs(least) + SPACING * size[f]
+        if near[first] == np.inf or (over <= 1e-9 and near[first] > reach**2):
             break
         near[first] = np.inf
         trial[0] = (seed[first] % SAMPLES + 0.5) / SAMPLES
         trial[1] = (seed[first] // SAMPLES + 0.5) / SAMPLES
-        if not closest_of(local[f], point, trial, functions, values):
+        if not closest_of(local[f], point, trial, values):
             continue
         out = _overhang(trial, inner[f])
-        if out > beyond:
+        if out > BEYOND:
             continue
         gap = sign[f] * _height(values, point)
         if out < over - 1e-9 or (out <= 1e-9 and abs(gap) < abs(least)):
@@ -267,7 +297,6 @@ def project(
     inner: Any,
     points: Any,
     candidates: Any,
-    beyond: Any,
     host: Any,
     xi: Any,
     gap: Any,
@@ -291,8 +320,6 @@ def project(
     points : (n, 3) array
     candidates : (n, c) int array
         Patches that may meet a point, padded with -1.
-    beyond : float
-        How far outside [0, 1] a local coordinate may lie.
     host : (n, parts) int array, written
         Patch, or -1 where none faces the point, or it is deeper than `DEEPEST`. The flanks are
         not asked about points that the master itself has before it by more than `FREE`.
@@ -320,7 +347,7 @@ def project(
             these, gaps, seeds = side[:count], near[:count], seed[:count]
             if _distances(samples, size, points[p], these, gaps, seeds):
                 chosen, least, over = _closest_patch(
-                    local, size, sign, inner, points[p], these, gaps, seeds, beyond, xi[p, s]
+                    local, size, sign, inner, points[p], these, gaps, seeds, xi[p, s]
                 )
                 if chosen >= 0:
                     gap[p, s], outside[p, s] = least, over
@@ -501,7 +528,7 @@ def segments(slave: Patches, master: Patches, n: int = 4) -> tuple[IntArray, Arr
     """
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     unit, unit_weights = gauss(2, n)
-    functions, values, xi = np.empty((6, 16)), np.empty((6, 3)), np.empty(2)
+    values, xi = np.empty((6, 3)), np.empty(2)
     rest = slave.surface.local()
     patches: list[int] = []
     places: list[Array] = []
@@ -512,7 +539,7 @@ def segments(slave: Patches, master: Patches, n: int = 4) -> tuple[IntArray, Arr
             polygon = []
             for point in points:
                 xi[:] = 0.5
-                closest_of(rest[e], point, xi, functions, values)
+                closest_of(rest[e], point, xi, values)
                 polygon.append(xi.copy())
             cut = _clipped(polygon)
             middle = np.mean(cut, axis=0) if len(cut) > 2 else None
@@ -613,7 +640,6 @@ class Facing:
             master.inner,
             np.ascontiguousarray(self.points(parameters)),
             self._candidates,
-            BEYOND,
             host,
             xi,
             gap,

@@ -236,9 +236,9 @@ class _Batch:
         starts = np.concatenate([[0], np.cumsum(counts)])
         return cls(group, width, pattern.dense(functions, hosts), starts, members)
 
-    def place(self, parameters: Array) -> tuple[Array, IntArray]:
+    def place(self, parameters: Array, load: Load) -> tuple[Array, IntArray]:
         """Return functions and starts, anew where they depend on the configuration."""
-        return self.members[0][0].follow(parameters) or (self.functions, self.starts)
+        return self.members[0][0].follow(parameters, load) or (self.functions, self.starts)
 
 
 class Problem:
@@ -384,7 +384,7 @@ class Problem:
             if term.functions.shape[1] != self.mesh.n_params:
                 raise InputError(f"{term.name}: the term is of another mesh; make it of this one")
             # Contacts find their multipliers by their names.
-            if type(term).augmented is not PointTerm.augmented:
+            if type(term).depth is not PointTerm.depth:
                 if term.name in keeping:
                     raise InputError(f"{term.name}: two contacts have this name; rename one")
                 keeping.add(term.name)
@@ -514,7 +514,7 @@ class Problem:
         }
         for batch in self._batches:
             group, width = self.assembly.groups[batch.group], batch.width
-            functions, starts = batch.place(parameters)
+            functions, starts = batch.place(parameters, load)
             vectors = kernels.evaluate(parameters, group.pattern.params, starts, functions)
             vectors = vectors.reshape(-1, width, 3)
             forces = np.empty(vectors.shape)
@@ -572,6 +572,16 @@ class Problem:
         """Return the greatest interpenetration of any contact in mm."""
         return max((term.penetration(parameters, load) for term in self.terms), default=0.0)
 
+    def overlap(self, parameters: Array, load: Load) -> float:
+        """Return the greatest depth of a contact's points in mm: what pressing apart can change."""
+        depths = self._depths(parameters, load).values()
+        return max((float(depth.max(initial=0.0)) for depth in depths), default=0.0)
+
+    def _depths(self, parameters: Array, load: Load) -> dict[str, Array]:
+        """Return the depths of the points of every contact, by its name."""
+        found = {term.name: term.depth(parameters, load) for term in self.terms}
+        return {name: depth for name, depth in found.items() if depth is not None}
+
     def varied(self, coefficients: ArrayLike, fibres: FibreLaw) -> Problem:
         """Return the problem with other coefficients and another law of its fibres.
 
@@ -612,8 +622,14 @@ class Problem:
 
     def augment(self, parameters: Array, load: Load) -> Load:
         """Return the load whose contacts keep their forces without overlap (Uzawa's step)."""
-        offsets = {term.name: term.augmented(parameters, load) for term in self.terms}
-        return replace(load, offsets={k: v for k, v in offsets.items() if v is not None})
+        depths = self._depths(parameters, load)
+        return replace(
+            load,
+            offsets={
+                name: np.maximum(depth + load.offsets.get(name, 0.0), 0.0)
+                for name, depth in depths.items()
+            },
+        )
 
     def check(self, parameters: Array, load: Load, volume_ratio: Array) -> Statistics:
         """Return the figures that describe a state rather than the way to it."""

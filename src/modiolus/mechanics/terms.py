@@ -149,8 +149,10 @@ class PointTerm(ABC):
         """Return the term's own pattern, or None when its hosts are the mesh's elements."""
         return None
 
-    def follow(self, parameters: Array) -> tuple[Array, IntArray] | None:
+    def follow(self, parameters: Array, load: Load) -> tuple[Array, IntArray] | None:
         """Return the functionals of a configuration, or None when they are fixed.
+
+        Of points on which nothing acts there are none.
 
         Returns
         -------
@@ -171,13 +173,17 @@ class PointTerm(ABC):
         leads Newton's method astray.
         """
 
-    def augmented(self, parameters: Array, load: Load) -> Array | None:
-        """Return the `Load.offsets` that would keep the present forces without overlap."""
+    def depth(self, parameters: Array, load: Load) -> Array | None:
+        """Return how much deeper than at rest each point is inside what it touches, in mm, (n,).
+
+        Negative before it; None where it has no meaning.
+        """
         return None
 
     def penetration(self, parameters: Array, load: Load | None = None) -> float:
         """Return the greatest depth of interpenetration in mm (0 where it has no meaning)."""
-        return 0.0
+        depth = self.depth(parameters, Load() if load is None else load)
+        return 0.0 if depth is None else float(depth.max(initial=0.0))
 
 
 def by_host(hosts: ArrayLike) -> IntArray:
