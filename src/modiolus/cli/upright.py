@@ -18,6 +18,7 @@ from modiolus.progress import Progress
 
 if TYPE_CHECKING:
     from modiolus.face.head import Head
+    from modiolus.mechanics.gravity import Upright
 
 #: What the provenance of a head says that was turned.
 _STANDING = "standing"
@@ -58,7 +59,6 @@ def upright(
         raise InputError(f"--tolerance {tolerance:g}: not within 0.0001 to 1 mm; give one that is")
     from modiolus.export.scene import FaceScene
     from modiolus.face.head import Head
-    from modiolus.face.provenance import INFERRED
     from modiolus.mechanics.gravity import upright as turned
     from modiolus.view.face import draw_face
 
@@ -69,19 +69,7 @@ def upright(
     with whole_folder(out, "head.toml", sources=own_heads(head)) as folder:
         with Progress(f"turning {source.name} upright", quiet=quiet) as progress:
             found = turned(source, density, tolerance, report=progress.update)
-        about = dict(source.about)
-        change = f"turned upright from lying face up, density {density:g} kg/m³"
-        about["changes"] = f"{about.get('changes', '')}; {change}".lstrip("; ")
-        about["upright_of"] = source.name
-        # How the source was fitted tells nothing of the new shape.
-        about["quality"] = {
-            "lying_within_mm": round(found.gaps[-1], 4),
-            "greatest_move_mm": round(greatest(source, found.head), 4),
-        }
-        if "provenance" in about:
-            shape = f"{INFERRED}: by mechanics from {source.name}, taken as lying"
-            about["provenance"] = {**about["provenance"], _STANDING: shape}
-        standing = replace(found.head, name=name, about=about)
+        standing = replace(found.head, name=name, about=_account(source, found, density))
         standing.save(folder)
         draw_face(
             FaceScene(source),
@@ -100,7 +88,7 @@ def upright(
             "J_min": found.state.statistics.J_min,
             "J_max": found.state.statistics.J_max,
             "max_penetration_mm": found.state.statistics.max_penetration_mm,
-            "greatest_move_mm": about["quality"]["greatest_move_mm"],
+            "greatest_move_mm": standing.about["quality"]["greatest_move_mm"],
             "landmarks": landmarks,
             "wall_s": round(time.perf_counter() - began, 3),
             "files": {
@@ -118,6 +106,25 @@ def upright(
         f"Picture: {record['files']['picture']}\n{use_of(out)}"
     )
     show(record, text, as_json, quiet)
+
+
+def _account(source: Head, found: Upright, density: float) -> dict[str, Any]:
+    """Return what the head upright says of itself (`Head.about`)."""
+    from modiolus.face.provenance import INFERRED
+
+    about = dict(source.about)
+    change = f"turned upright from lying face up, density {density:g} kg/m³"
+    about["changes"] = f"{about.get('changes', '')}; {change}".lstrip("; ")
+    about["upright_of"] = source.name
+    # How the source was fitted tells nothing of the new shape.
+    about["quality"] = {
+        "lying_within_mm": round(found.gaps[-1], 4),
+        "greatest_move_mm": round(greatest(source, found.head), 4),
+    }
+    if "provenance" in about:
+        shape = f"{INFERRED}: by mechanics from {source.name}, taken as lying"
+        about["provenance"] = {**about["provenance"], _STANDING: shape}
+    return about
 
 
 def greatest(source: Head, standing: Head) -> float:

@@ -112,14 +112,11 @@ def validate(
         pairs = None if landmarks is None else read_landmarks(landmarks, chosen)
         with Progress("aligning the scans", total=len(scans) + 1, quiet=quiet) as progress:
             pose = register_scan(neutral, skin, unit or None, pairs)
-            alignments = {}
-            for count, (name, scan) in enumerate(scans.items()):
-                progress.update(count + 1, name)
-                alignments[name] = (
-                    Alignment(pose, float("nan"), {})
-                    if posed
-                    else align_to_neutral(scan, neutral, skin, pose)
-                )
+            alignments = dict.fromkeys(scans, Alignment(pose, float("nan"), {}))
+            for count, (name, scan) in enumerate(scans.items(), 1):
+                progress.update(count, name)
+                if not posed:
+                    alignments[name] = align_to_neutral(scan, neutral, skin, pose)
         table = _Table(chosen, skin, neutral.placed(pose), further, draft, target, quiet)
         for name, way in rows:
             table.add(name, scans[name].placed(alignments[name].pose), way)
