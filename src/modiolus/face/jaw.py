@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -68,8 +69,7 @@ class Jaw:
 
     hinge: Array
     _plane: float
-    _moving: cKDTree
-    _standing: cKDTree
+    _deep: Mapping[str, DistanceGrid]
 
     @classmethod
     def of(cls, deep: Mapping[str, DistanceGrid], plane: float) -> Jaw | None:
@@ -96,11 +96,16 @@ class Jaw:
         hind = bone[bone[:, 1] > bone[:, 1].max() - _CONDYLE[1]]
         condyle = hind[hind[:, 2] > hind[:, 2].max() - _CONDYLE[0]].mean(axis=0)
         hinge = np.array([plane, condyle[1], condyle[2]])
-        clouds = []
+        return cls(hinge, plane, deep)
+
+    @cached_property
+    def _clouds(self) -> list[cKDTree]:
+        """Points on what moves with the jaw, and on what stands still."""
+        deep, clouds = self._deep, []
         for names in ([n for n, share in FOLLOWERS.items() if share == 1.0], _STANDING):
             parts = [_points(deep[n], 0.0, deep[n].spacing) for n in names if n in deep]
             clouds.append(cKDTree(np.vstack(parts)))
-        return cls(hinge, plane, *clouds)
+        return clouds
 
     def pose(self, angle: float) -> tuple[Array, Array]:
         """Return the rotation (3, 3) and the shift (3,) of the jaw open by an angle (radians).
@@ -125,8 +130,7 @@ class Jaw:
         """
         folded = np.array(points, dtype=float)
         folded[:, 0] = self._plane + np.abs(folded[:, 0] - self._plane)
-        moving, _ = self._moving.query(folded)
-        standing, _ = self._standing.query(folded)
+        moving, standing = (cloud.query(folded)[0] for cloud in self._clouds)
         low, high = _BETWEEN
         near = (standing / (standing + moving) - low) / (high - low)
         return smooth_step(near) * smooth_step((_FADE[1] - moving) / (_FADE[1] - _FADE[0]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -508,14 +508,25 @@ def _bones(head: Head) -> Callable[[Array, IntArray], Callable[[Load], Array]] |
     jaw = head.jaw
     if jaw is None:
         return None
-    ends = [m.end(0)[0].mean(axis=0) if m.glide else jaw.hinge for m in head.muscles.values()]
-    shares = jaw.share(np.stack(ends))
 
-    def carry(rest: Array, muscles: IntArray) -> Callable[[Load], Array]:
-        share = shares[muscles]
-        return lambda load: np.asarray(rest + jaw.displacement(rest, load.jaw, share))
+    @cache
+    def shares() -> Array:
+        ends = [m.end(0)[0].mean(axis=0) if m.glide else jaw.hinge for m in head.muscles.values()]
+        return jaw.share(np.stack(ends))
 
-    return carry
+    return lambda rest, muscles: _carried(jaw, rest, lambda: shares()[muscles])
+
+
+def _carried(jaw: Jaw, rest: Array, share: Callable[[], Array]) -> Callable[[Load], Array]:
+    """Return what takes a load to where points go with the jaw; a closed one needs no share."""
+    known = cache(share)
+
+    def place(load: Load) -> Array:
+        if load.jaw == 0.0:
+            return rest
+        return np.asarray(rest + jaw.displacement(rest, load.jaw, known()))
+
+    return place
 
 
 def both_sides(quadrature: Points, half: Head) -> Points:
@@ -535,13 +546,8 @@ def both_sides(quadrature: Points, half: Head) -> Points:
 
 
 def _springs(head: Head, measured: Head | None) -> Iterator[Springs]:
-    def carry(rest: Array) -> Callable[[Load], Array]:
-        jaw = head.jaw
-        assert jaw is not None
-        share = jaw.share(rest)
-        return lambda load: np.asarray(rest + jaw.displacement(rest, load.jaw, share))
-
-    carried = None if head.jaw is None else carry
+    jaw = head.jaw
+    carry = None if jaw is None else lambda rest: _carried(jaw, rest, lambda: jaw.share(rest))
     tied, bound = (
         [(item.elements, item.xi, item.stiffness) for item in items.values()]
         for items in (head.attachments, head.insertions)
@@ -552,7 +558,7 @@ def _springs(head: Head, measured: Head | None) -> Iterator[Springs]:
             tied.append((elements, xi, NECK_STIFFNESS * areas))
     if tied:
         elements, xi, stiffness = map(np.concatenate, zip(*tied, strict=True))
-        yield Springs(head.tissue, elements, xi, stiffness, "attachments", carried)
+        yield Springs(head.tissue, elements, xi, stiffness, "attachments", carry)
     if bound:
         elements, xi, stiffness = map(np.concatenate, zip(*bound, strict=True))
         skin = head.skinward[elements], xi * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
