@@ -25,7 +25,7 @@ from .problem import Evaluation, Problem, State
 from .terms import Load
 
 #: Factorisations of a step after which the next is as long, and how much it may change at once.
-EASY = 8.0
+EASY = 6.0
 CHANGE = 0.7, 2.5
 #: Parts of a correction that the next may have for the factors to stay: above and below tolerance.
 GOOD, FAIR = 0.4, 0.7
@@ -71,7 +71,7 @@ class Settings:
     """
 
     tolerance: float = 3e-4
-    passing: float = 1e-2
+    passing: float = 2e-2
     first_step: float = 0.06
     least_step: float = 2e-3
     warm_change: float = 0.1
