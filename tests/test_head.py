@@ -209,6 +209,16 @@ def test_the_sheet_of_taro_lies_below_the_skin_of_the_cheek(taro):
     assert 400.0 * 3000.0 < smas.stiffness.sum() < 400.0 * 8000.0
 
 
+def test_the_galea_of_taro_lies_over_the_upper_forehead(taro):
+    galea, tied = taro.sheets["galea"], taro.attachments["galea"]
+    brow = taro.landmark_points()["inner_brow_left"]
+    upper = [taro.muscles[f"frontalis_{part}"].end(0)[0] for part in ("medial", "lateral")]
+    for item in (galea, tied):
+        heights = taro.tissue.evaluate(item.elements, item.xi)[:, 2]
+        assert heights.min() > brow[2] + 20.0
+    assert heights.min() > np.vstack(upper)[:, 2].min()
+
+
 def test_tissue_of_taro_stays_outside_the_bone(taro):
     face = taro.tissue.face(*taro.sides["inner"])
     elements, xi, _ = face.gauss_points(4)

@@ -70,8 +70,8 @@ def test_gauss_integrates_polynomials_of_degree_2n_minus_1(degree: int, n: int) 
 
 @given(n=st.integers(2, 6))
 def test_the_trapezoidal_rule_reaches_the_borders(n: int) -> None:
-    xi, weights = trapezoidal(2, n)
-    assert set(np.unique(xi)) >= {0.0, 1.0} and len(xi) == n * n
+    xi, weights = trapezoidal((n, n + 2))
+    assert set(np.unique(xi)) >= {0.0, 1.0} and len(xi) == n * (n + 2)
     assert weights @ (1.0 + xi[:, 0] - 2.0 * xi[:, 1]) == pytest.approx(0.5)
     assert weights @ xi[:, 0] ** 2 == pytest.approx(1.0 / 3.0 + 1.0 / (6.0 * (n - 1) ** 2))
 
@@ -225,7 +225,7 @@ def test_arrays_that_make_no_mesh_are_refused(arguments, words: str) -> None:
         (lambda mesh: assemble([[0, 2]], np.zeros((2, 2, 3))), "corners: 2"),
         (lambda mesh: assemble([[0, 1]], np.zeros((2, 4, 3))), "derivatives: shape"),
         (lambda mesh: gauss(3, 0), "rule"),
-        (lambda mesh: trapezoidal(2, 1), "rule"),
+        (lambda mesh: trapezoidal((2, 1)), "rule"),
     ],
 )
 def test_what_does_not_fit_the_mesh_is_refused_in_one_line(call, words: str) -> None:

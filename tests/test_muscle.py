@@ -95,6 +95,24 @@ def test_a_gliding_muscle_stretches_by_what_its_bound_part_moves():
             replace(beam(), glide=wrong)
 
 
+def test_a_muscle_with_two_loose_ends_pulls_at_both_alike():
+    rule = beam().quadrature()
+    held = np.ones(len(rule.points), dtype=bool)
+    muscle = replace(beam(), glide=0.7, loose=0.2)
+    fibres, pulls = muscle.pulls(rule, held)
+    assert_array_equal(pulls > 0.0, rule.points[:, 0] > 21.0)
+    assert_array_equal(pulls < 0.0, rule.points[:, 0] < 6.0)
+    # Moved with the tissue it feels nothing, stretched evenly just that stretch.
+    assert_allclose(np.bincount(fibres, pulls), 0.0, atol=1e-12)
+    assert_allclose(np.bincount(fibres, pulls * 0.1 * rule.points[:, 0]), 0.1, rtol=1e-12)
+    # Where the tissue holds one end only, the other is at its bone.
+    held = rule.points[:, 0] > 6.0
+    assert_allclose(muscle.pulls(rule, held)[1], replace(muscle, loose=0.0).pulls(rule, held)[1])
+    for wrong in (-0.1, 0.8, np.nan):
+        with pytest.raises(InputError, match="share of the length that glides"):
+            replace(beam(), glide=0.7, loose=wrong)
+
+
 def test_a_ring_is_closed():
     muscle = ring()
     assert_allclose(muscle.length(), 2 * np.pi * 22.0, rtol=1e-3)
@@ -130,9 +148,9 @@ def test_mirrored_keeps_its_volume_and_turns_its_fibres():
 
 
 def test_muscle_survives_its_arrays():
-    muscle = Muscle("beam", beam().mesh, "sheet", np.full((24, 3), 0.1), slack=1.2, glide=0.7)
+    muscle = Muscle("beam", beam().mesh, "sheet", np.full((24, 3), 0.1), 1.2, 0.7, 0.2)
     again = Muscle.from_arrays("beam", muscle.arrays())
-    assert (again.kind, again.slack, again.glide) == ("sheet", 1.2, 0.7)
+    assert (again.kind, again.slack, again.glide, again.loose) == ("sheet", 1.2, 0.7, 0.2)
     assert_array_equal(again.mesh.parameters, muscle.mesh.parameters)
     assert_array_equal(again.corners, muscle.corners)
     assert_array_equal(again.angles, muscle.angles)

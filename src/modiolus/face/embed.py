@@ -6,7 +6,7 @@ muscles stand outside the tissue. They are moved in by a smooth map and fitted a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,13 +17,12 @@ from scipy.spatial import cKDTree
 from ..anatomy.distance import DistanceGrid
 from ..anatomy.surface import MIDPLANE, Surface
 from ..fitting import PointTarget, Smoothing, fit
-from ..hermite import HermiteMesh
+from ..hermite import HermiteMesh, Side
 from ..hermite.basis import Array, smooth_step
 from ..hermite.tessellate import tessellate
 from .head import Attachment
 from .muscle import Muscle
-from .template import COLUMNS, FOLD_COLUMN, JAW_ROW
-from .tissue import Side
+from .template import COLUMNS, FOLD_COLUMN, JAW_ROW, ROWS
 
 #: Stretch from which passive fibres are taut. The muscles of a resting face are not: a mouth
 #: that moves by 10 mm stretches its antagonists by a fifth before they resist.
@@ -38,7 +37,7 @@ CLEARANCE = (0.35, 0.1)
 
 #: What holds the tissue around a muscle's bony end: its stiffness (mN/mm), and the share of the
 #: length, from the origin, that is held; of a ring that share on either side of its beginning.
-#: Frontalis comes from the galea, which occipitalis holds back; platysma from the fascia of the
+#: Frontalis comes from the galea and from no bone (`LOOSE`), platysma from the fascia of the
 #: neck, which the cut holds. Orbicularis oculi is a ring that comes from bone at its medial end:
 #: the nasal part of the frontal bone, the frontal process of the maxilla and the medial palpebral
 #: ligament (Gray's Anatomy, "Face and scalp"); its malar part begins at the rim of the orbit
@@ -52,8 +51,7 @@ ORIGINS: dict[str, tuple[float, float]] = {
             *("zygomaticus_major", "zygomaticus_minor", "levator_labii_superioris"),
             *("levator_labii_superioris_alaeque_nasi", "levator_anguli_oris", "risorius"),
             *("depressor_anguli_oris", "depressor_labii_inferioris", "mentalis"),
-            *("frontalis_medial", "frontalis_lateral", "corrugator_supercilii"),
-            *("procerus", "nasalis"),
+            *("corrugator_supercilii", "procerus", "nasalis"),
         ),
         (300.0, 0.12),
     ),
@@ -74,6 +72,11 @@ GLIDE = 0.85
 #: oculi, in the same layer, has ends in the skin all along (Zufferey 2013, Eur. J. Plast. Surg.
 #: 36:345-352).
 SUPERFICIAL = ("platysma", "orbicularis_oculi_malar")
+#: Those with no bone: frontalis comes from the galea, which slides over the skull with the scalp,
+#: and draws down the skin above 60 % of the forehead's height, in everybody (Cotofana et al. 2020,
+#: Plast. Reconstr. Surg. 145:1155-1162). By this share of the length they are bound to the tissue
+#: at either end, as by `INSERTION_SHARE` to the skin.
+LOOSE, LOOSE_SHARE = ("frontalis_medial", "frontalis_lateral"), 0.35
 
 #: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
 #: above it.
@@ -134,11 +137,14 @@ def bring_inside(muscle: Muscle, tissue: HermiteMesh, above: float = -np.inf) ->
         moved = _flow(muscle.mesh, tissue, above, back)
         if moved.scaled_jacobian(*_samples(moved)).min() > _LEAST_JACOBIAN:
             break
+    glide = GLIDE if muscle.name in INSERTIONS and muscle.name not in SUPERFICIAL else 0.0
+    loose = LOOSE_SHARE if muscle.name in LOOSE else 0.0
     return replace(
         muscle,
         mesh=moved,
         slack=TAUT.get(muscle.name, SLACK),
-        glide=GLIDE if muscle.name in INSERTIONS and muscle.name not in SUPERFICIAL else 0.0,
+        glide=1.0 - loose if loose else glide,
+        loose=loose,
     )
 
 
@@ -397,11 +403,14 @@ TRAGUS = (66.0, -107.0, 1514.0)
 #: is the fascia of temporalis. Along its edge,
 #: the temporal line, the layer is fixed to bone as well (Moss, Mendelson and Taylor 2000, Plast.
 #: Reconstr. Surg. 105:1475-1490), which keeps frontalis from lifting the tail of the brow far.
+#: Behind the cut through the scalp the galea goes on to occipitalis, which holds it: with this
+#: stiffness the scalp gives way to frontalis by a third of what the brow does, as it does in life.
 FASCIAE: dict[str, tuple[tuple[int, int], tuple[int, int], float]] = {
     "infrahyoid_fascia": ((0, JAW_ROW), (0, 4), 2.0),
     "deep_cervical_fascia": ((0, JAW_ROW), (4, COLUMNS), 0.15),
     "temporal_fascia": ((13, 20), (8, COLUMNS), 1.0),
     "superior_temporal_septum": ((15, 20), (7, 8), 1.0),
+    "galea": ((20, ROWS), (0, 9), 1.0),
 }
 
 
@@ -419,33 +428,39 @@ def fasciae(mesh: HermiteMesh, inner: Side) -> dict[str, Attachment]:
     return out
 
 
-#: Superficial musculoaponeurotic system (SMAS): its parts in rows and columns of the template;
-#: depth below the skin (mm) and stiffness (mN/mm). From the ear to the fold beside nose and mouth
-#: it lies over the cheek, up to the cheekbone; below the mouth it goes on to the chin, as platysma
+#: Fibrous sheets by name: their parts in rows and columns of the template, and stiffness (mN/mm).
+#: The superficial musculoaponeurotic system (SMAS), from the ear to the fold beside nose and mouth,
+#: lies over the cheek, up to the cheekbone; below the mouth it goes on to the chin, as platysma
 #: does. It thins out forward and is lost towards the middle of the face (Hu et al. 2014, Aesthet.
 #: Surg. J. 34:661-667). Its collagen is crimped, and pulled it behaves like the skin before the ear
-#: (Har-Shai et al. 1996, Plast. Reconstr. Surg. 98:59-70).
-SMAS: tuple[tuple[tuple[int, int], tuple[int, int]], ...] = (
-    ((3, 13), (FOLD_COLUMN, COLUMNS)),
-    ((3, 5), (2, FOLD_COLUMN)),
-)
-SMAS_DEPTH, SMAS_STIFFNESS = 4.0, 400.0
+#: (Har-Shai et al. 1996, Plast. Reconstr. Surg. 98:59-70). The galea is an aponeurosis, from the
+#: upper part of frontalis, which it encloses, up and back; ten times as stiff, it gives way so
+#: little that the scalp moves in one piece.
+SHEETS: dict[str, tuple[Sequence[tuple[tuple[int, int], tuple[int, int]]], float]] = {
+    "smas": ([((3, 13), (FOLD_COLUMN, COLUMNS)), ((3, 5), (2, FOLD_COLUMN))], 400.0),
+    "galea": ([((18, ROWS), (0, 9))], 4000.0),
+}
+#: Depth of the sheets below the skin (mm).
+SHEET_DEPTH = 4.0
 
 
 def sheets(mesh: HermiteMesh, outer: Side) -> dict[str, Attachment]:
     """Return the fibrous sheets of the tissue, by points that stand for an area of the skin."""
     every, axis, side = outer
     row, column = np.divmod(every, COLUMNS)
-    part = np.zeros(len(every), dtype=bool)
-    for (low, high), (first, last) in SMAS:
-        part |= (row >= low) & (row < high) & (column >= first) & (column < last)
-    rule = mesh.face(every[part], axis, side).quadrature(3)
-    elements = every[part][rule.elements]
-    ends = [np.insert(rule.xi, axis, end, axis=1) for end in (0.0, 1.0)]
-    inner, skin = (mesh.evaluate(elements, end) for end in ends)
-    place = ends[1]
-    place[:, axis] -= np.minimum(SMAS_DEPTH / np.linalg.norm(skin - inner, axis=1), 0.95)
-    return {"smas": Attachment("smas", elements, place, SMAS_STIFFNESS * rule.weights)}
+    out: dict[str, Attachment] = {}
+    for name, (parts, stiffness) in SHEETS.items():
+        part = np.zeros(len(every), dtype=bool)
+        for (low, high), (first, last) in parts:
+            part |= (row >= low) & (row < high) & (column >= first) & (column < last)
+        rule = mesh.face(every[part], axis, side).quadrature(3)
+        elements = every[part][rule.elements]
+        ends = [np.insert(rule.xi, axis, end, axis=1) for end in (0.0, 1.0)]
+        inner, skin = (mesh.evaluate(elements, end) for end in ends)
+        place = ends[1]
+        place[:, axis] -= np.minimum(SHEET_DEPTH / np.linalg.norm(skin - inner, axis=1), 0.95)
+        out[name] = Attachment(name, elements, place, stiffness * rule.weights)
+    return out
 
 
 def ligaments(

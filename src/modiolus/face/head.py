@@ -24,11 +24,10 @@ from ..anatomy.distance import DistanceGrid, MirroredDistance
 from ..anatomy.surface import MIDPLANE
 from ..errors import InputError, unknown_name
 from ..files import folder_name, read_toml
-from ..hermite import HermiteMesh, MirroredMesh
+from ..hermite import HermiteMesh, MirroredMesh, Side
 from ..hermite.basis import Array
 from .jaw import Jaw
 from .muscle import Muscle
-from .tissue import Side
 
 #: Version of the directory's layout.
 FORMAT = 1

@@ -61,6 +61,9 @@ class Muscle:
     glide : float
         Share of the length, from the origin, over which it glides in the tissue, see `pulls`; a
         muscle with 0 moves with the tissue throughout.
+    loose : float
+        Share of the length, from the origin, over which one that glides is bound to the tissue
+        there, too, and to no bone.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class Muscle:
     angles: np.ndarray | None = None
     slack: float = 1.0
     glide: float = 0.0
+    loose: float = 0.0
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -94,6 +98,10 @@ class Muscle:
         if not 0.0 <= self.glide < 1.0:
             raise InputError(
                 f"{self.name}: glide {self.glide}; give a share of the length, below 1"
+            )
+        if not 0.0 <= self.loose <= self.glide:
+            raise InputError(
+                f"{self.name}: loose {self.loose}; give a share of the length that glides"
             )
 
     @property
@@ -230,9 +238,10 @@ class Muscle:
     def pulls(self, rule: MusclePoints, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tell on which fibre the points of a muscle that glides lie, and how they stretch it.
 
-        Its fibres are at their bone where they begin, whatever the tissue does, and go along with
-        the tissue to which they are bound beyond the share `glide` of the length: with the mean
-        of its displacement, by volume.
+        Its fibres are at their bone where they begin, whatever the tissue does, or, where that end
+        is `loose`, go along with the tissue there; and they go along with the tissue to which they
+        are bound beyond the share `glide` of the length: with the mean of its displacement, by
+        volume.
 
         Parameters
         ----------
@@ -251,10 +260,18 @@ class Muscle:
         along, length = self._along(rule)
         lines = np.column_stack([self.rows()[0][rule.elements], np.round(rule.xi[:, 1:], 9)])
         fibres = np.unique(lines, axis=0, return_inverse=True)[1].ravel()
-        bound = np.where(held & (along > self.glide), rule.weights, 0.0)
-        # The mean of where the bound points are, times their volume.
-        reach = np.bincount(fibres, bound * along)[fibres] * length
-        return fibres, np.divide(bound, reach, out=np.zeros_like(bound), where=reach > 0.0)
+        far = self._shared(fibres, np.where(held & (along > self.glide), rule.weights, 0.0))
+        near = self._shared(fibres, np.where(held & (along < self.loose), rule.weights, 0.0))
+        # How far apart the means of the bound points are; those of bone are at the origin.
+        reach = np.bincount(fibres, (far - near) * along)[fibres] * length
+        sound = np.bincount(fibres, far)[fibres] > 0.0
+        return fibres, np.divide(far - near, reach, out=np.zeros_like(far), where=sound)
+
+    @staticmethod
+    def _shared(fibres: np.ndarray, volumes: np.ndarray) -> np.ndarray:
+        """Return the shares of points in the volume of their fibre, 0 where it has none."""
+        total = np.bincount(fibres, volumes)[fibres]
+        return np.asarray(np.divide(volumes, total, out=np.zeros_like(volumes), where=total > 0.0))
 
     def _along(self, rule: MusclePoints) -> tuple[np.ndarray, np.ndarray]:
         """Return the share of the length before points, and the length (mm), both (q,)."""
@@ -385,6 +402,7 @@ class Muscle:
             "kind": np.array(KINDS.index(self.kind)),
             "slack": np.array(self.slack),
             "glide": np.array(self.glide),
+            "loose": np.array(self.loose),
         }
         if self.angles is not None:
             arrays["angles"] = self.angles
@@ -403,7 +421,7 @@ class Muscle:
             corners = np.asarray(arrays["corners"], dtype=np.int64)
             nodes = np.asarray(arrays["parameters"], dtype=np.float64).reshape(-1, 8, 3)
             kind, slack = KINDS[int(arrays["kind"])], float(arrays["slack"])
-            glide = float(arrays.get("glide", 0.0))
+            glide, loose = (float(arrays.get(key, 0.0)) for key in ("glide", "loose"))
             sound = corners.ndim == 2 and corners.shape[1] == 8 and np.isfinite(nodes).all()
             if not sound or corners.min() < 0 or corners.max() >= len(nodes):
                 raise ValueError("parameters")
@@ -411,7 +429,7 @@ class Muscle:
             raise InputError(f"{name}: no sound muscle ({error}); build the head anew") from error
         angles = arrays.get("angles")
         angles = None if angles is None else np.asarray(angles, dtype=np.float64)
-        return cls(name, assemble(corners, nodes), kind, angles, slack, glide)
+        return cls(name, assemble(corners, nodes), kind, angles, slack, glide, loose)
 
 
 def _turned(a: np.ndarray, b: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from ..hermite import gauss
+from ..hermite import Side, gauss
 from ..hermite.basis import Array
 from .head import Attachment, Head
-from .tissue import Side
 
 __all__ = ["at_gauss", "at_points", "child_points", "parent_points", "refined"]
 

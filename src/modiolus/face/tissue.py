@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from ..anatomy.distance import DistanceGrid
 from ..anatomy.surface import MIDPLANE, Surface
 from ..fitting import PointTarget, Smoothing, SurfaceTarget, fit
-from ..hermite import HermiteMesh
+from ..hermite import HermiteMesh, Side
 from ..hermite.basis import Array
 from .template import (
     COLUMNS,
@@ -98,9 +98,6 @@ POCKET = ((5, 10), (3, 10))
 LEAST = 3.2
 #: Least thickness of the lids and of the nose's skin, and of the skin of the temple (mm).
 LEAST_LID, LEAST_TEMPLE = 1.6, 1.5
-
-#: Sides of some elements: which, and where ``xi_axis`` equals the side; see `HermiteMesh.face`.
-Side = tuple[NDArray[np.int64], int, int]
 
 
 @dataclass(frozen=True)

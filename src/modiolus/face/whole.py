@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..hermite import Side
 from .head import Attachment, Head
 from .muscle import Muscle
-from .tissue import Side
 
 
 def whole_head(half: Head) -> Head:

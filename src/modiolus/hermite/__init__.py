@@ -3,7 +3,7 @@
 from .basis import basis, basis_1d
 from .grid import assemble, bricks, grid, grid_connectivity, linear
 from .locate import Location
-from .mesh import HermiteMesh, outward
+from .mesh import HermiteMesh, Side, outward
 from .mirror import MirroredMesh, symmetry_plane
 from .quadrature import Quadrature, gauss, trapezoidal
 
@@ -12,6 +12,7 @@ __all__ = [
     "Location",
     "MirroredMesh",
     "Quadrature",
+    "Side",
     "assemble",
     "basis",
     "basis_1d",

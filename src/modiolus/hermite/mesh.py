@@ -18,6 +18,9 @@ from .locate import Location, locate
 from .quadrature import Quadrature, gauss
 from .rows import same_rows
 
+#: Sides of some elements: which, and where ``xi_axis`` equals the side; see `HermiteMesh.face`.
+Side = tuple[IntArray, int, int]
+
 
 @njit(cache=True)
 def _sums(functions, local, elements):  # type: ignore[no-untyped-def]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -30,38 +31,39 @@ def gauss(dim: int, n: int) -> tuple[Array, Array]:
     """
     if dim < 1 or n < 1:
         raise InputError(f"rule: {n} points a direction in {dim}; give at least one of each")
-    return _tensor(dim, *_legendre(n))
+    nodes, weights = _legendre(n)
+    return _tensor([nodes] * dim, [weights] * dim)
 
 
-def trapezoidal(dim: int, n: int) -> tuple[Array, Array]:
-    """Return the tensor trapezoidal rule with ``n`` points a direction on [0, 1]^dim.
+def trapezoidal(counts: Sequence[int]) -> tuple[Array, Array]:
+    """Return the tensor trapezoidal rule with so many points along each direction of [0, 1]^dim.
 
     They are evenly spread and reach the borders.
 
     Returns
     -------
-    xi : (n**dim, dim) array
+    xi : (n, dim) array
         Points; the first coordinate runs fastest.
-    weights : (n**dim,) array
+    weights : (n,) array
         Weights, which sum to 1.
 
     Raises
     ------
     InputError
-        There are fewer than two points a direction or no direction.
+        There are fewer than two points along a direction, or no direction.
     """
-    if dim < 1 or n < 2:
-        raise InputError(f"rule: {n} points a direction in {dim}; give two of one at least")
-    weights = np.full(n, 2.0 / (n - 1))
-    weights[[0, -1]] *= 0.5
-    return _tensor(dim, np.linspace(-1.0, 1.0, n), weights)
+    if not counts or min(counts) < 2:
+        raise InputError(f"rule: {tuple(counts)} points; give two along each direction at least")
+    weights = [np.full(n, 2.0 / (n - 1)) for n in counts]
+    for along in weights:
+        along[[0, -1]] *= 0.5
+    return _tensor([np.linspace(-1.0, 1.0, n) for n in counts], weights)
 
 
-def _tensor(dim: int, nodes: Array, weights: Array) -> tuple[Array, Array]:
-    """Return the tensor rule on [0, 1]^dim of a rule on [-1, 1]."""
-    nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
-    grids = np.meshgrid(*[nodes] * dim, indexing="ij")
-    factors = np.meshgrid(*[weights] * dim, indexing="ij")
+def _tensor(nodes: Sequence[Array], weights: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the tensor rule on [0, 1]^dim of a rule on [-1, 1] along each direction."""
+    grids = np.meshgrid(*(0.5 * (along + 1.0) for along in reversed(nodes)), indexing="ij")
+    factors = np.meshgrid(*(0.5 * along for along in reversed(weights)), indexing="ij")
     xi = np.stack([g.ravel() for g in reversed(grids)], axis=1)
     return xi, np.prod([f.ravel() for f in factors], axis=0)
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from ..hermite import HermiteMesh, gauss, trapezoidal
+from ..hermite import HermiteMesh, Side, gauss, trapezoidal
 from .assembly import Pattern
-from .facing import EDGE, Facing, Immersion, Meetings, Patches, Side, blended
+from .facing import EDGE, Facing, Immersion, Meetings, Patches, blended
 from .laws import PAIRS, Array
 from .terms import IntArray, Load, PointTerm, Response, by_host, penalty
 
@@ -186,7 +186,7 @@ class SurfaceContact(PointTerm):
         if points is None:
             # The edges of a body that has flanks are what may cut into another, between two points
             # as well.
-            points = first.points(*(trapezoidal(2, 7) if flanks[1] else gauss(2, 4)))
+            points = first.points(*(trapezoidal((7, 7)) if flanks[1] else gauss(2, 4)))
         self.onset = onset
         self.areas = np.asarray(points[2], dtype=float)
         self.stiffness = stiffness * self.areas

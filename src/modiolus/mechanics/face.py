@@ -17,12 +17,12 @@ from ..face.expression import Expression, resolve
 from ..face.head import Head
 from ..face.jaw import FOLLOWERS, WIDEST, Jaw, opening
 from ..face.refine import at_gauss
-from ..face.tissue import Side
-from ..hermite import symmetry_plane
+from ..hermite import Side, symmetry_plane, trapezoidal
 from ..progress import Report
 from .constraints import clamp
 from .contact import RigidContact, SurfaceContact, face_points, known_offsets
 from .continuation import Continuation
+from .facing import Patches
 from .laws import CARTILAGE, FAT, MUSCLE, Array, FibreLaw, mix
 from .problem import GAUSS, Problem, State
 from .terms import (
@@ -130,8 +130,14 @@ SEPTUM, SEPTUM_STIFFNESS = (1.0, 2.5), 3.0
 #: Beyond the cuts through the neck the tissue goes on, and platysma in it, which pulls from there
 #: as much as from here. So they stay at their height, and move in their plane against the shear of
 #: what lies beyond (kPa/mm): sqrt(G k / h) for a layer of thickness h = 10 mm and a shear modulus
-#: G = 2.8 kPa, held on its way by k = 0.15 kPa/mm (`embed.FASCIAE`).
-NECK_STIFFNESS = 0.2
+#: G = 2.8 kPa, held on its way by k = 0.15 kPa/mm (`embed.FASCIAE`). The cut through the scalp,
+#: which slides over the skull, moves as bone leaves it; what mostly holds it is the galea.
+CUT_STIFFNESS = 0.2
+#: Contact points along the margin of a lip or lid, and across, on the side of every element. Where
+#: one eye is shut tightly the edges of its lids cross askew: with fewer they cut in between.
+MARGIN = 11, 7
+#: Cuts that move against it, and along how many of the axes.
+FREE = {"neck": 2, "scalp": 3}
 
 
 class Face:
@@ -320,7 +326,7 @@ def face_problem(
         fixed |= symmetry_plane(mesh, *head.sides["midplane"])
     for name, cut in cuts(head):
         held = clamp(mesh, *cut)
-        held[:, :2] &= not _in_neck(name)
+        held[:, : FREE.get(_part(name), 0)] = False
         fixed |= held
     acting: list[PointTerm] = [*terms, *fibres(head, settings, measured), *_springs(head, measured)]
     acting += [
@@ -405,13 +411,13 @@ def cartilage_share(head: Head, gauss_order: int = GAUSS) -> Array:
 def cuts(head: Head) -> Iterator[tuple[str, Side]]:
     """Yield the sides along which the tissue has been cut out of the head."""
     for name, side in head.sides.items():
-        if name.partition("_")[0] in ("ear", "neck", "scalp"):
+        if _part(name) in ("ear", "neck", "scalp"):
             yield name, side
 
 
-def _in_neck(cut: str) -> bool:
-    """Tell whether a cut of `cuts` goes through the neck."""
-    return cut.partition("_")[0] == "neck"
+def _part(cut: str) -> str:
+    """Return what a cut of `cuts` goes through."""
+    return cut.partition("_")[0]
 
 
 def face_load(
@@ -483,7 +489,7 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
             moving.append(FibreQuadrature(*points).take(held))
             continue
         lines, pulls = muscle.pulls(rule, held)
-        bound = np.bincount(lines, pulls)[lines] > 0.0
+        bound = np.bincount(lines, np.abs(pulls))[lines] > 0.0
         gliding.append(GlidingQuadrature(*points, numbered + lines, pulls).take(bound))
         numbered += int(lines.max()) + 1
     law = FibreLaw(sigma_max=settings.sigma_max)
@@ -553,9 +559,9 @@ def _springs(head: Head, measured: Head | None) -> Iterator[Springs]:
         for items in (head.attachments, head.insertions)
     )
     for name, cut in cuts(head):
-        if _in_neck(name):
+        if _part(name) in FREE:
             elements, xi, areas = face_points(head.tissue, *cut)
-            tied.append((elements, xi, NECK_STIFFNESS * areas))
+            tied.append((elements, xi, CUT_STIFFNESS * areas))
     if tied:
         elements, xi, stiffness = map(np.concatenate, zip(*tied, strict=True))
         yield Springs(head.tissue, elements, xi, stiffness, "attachments", carry)
@@ -643,6 +649,7 @@ def _slit_contacts(head: Head, settings: FaceSettings) -> Iterator[PointTerm]:
                 margins[which],
                 margins[other],
                 0.5 * settings.contact,
+                points=Patches.of(head.tissue, margins[which]).points(*trapezoidal(MARGIN)),
                 flanks=(flanks[which], flanks[other]),
                 name=f"contact of the {which} {part}",
             )

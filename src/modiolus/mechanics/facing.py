@@ -25,13 +25,11 @@ import scipy.sparse as sp
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from ..hermite import HermiteMesh, gauss
+from ..hermite import HermiteMesh, Side, gauss
 from .assembly import Pattern
 from .laws import Array
 
 IntArray = NDArray[np.int64]
-#: Elements, axis and side: a surface of the mesh, see `HermiteMesh.face`.
-Side = tuple[IntArray, int, int]
 
 #: Samples a direction of a master patch that decide where a search begins.
 SAMPLES = 4

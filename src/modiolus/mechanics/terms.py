@@ -440,7 +440,7 @@ class GlidingFibres(Fibres):
 
         Together they couple no more unknowns than that one does, and there are fewer blocks.
         """
-        bound = self.quadrature.pulls > 0.0
+        bound = self.quadrature.pulls != 0.0
         pairs = np.unique(
             np.stack([self._fibre[bound], self.quadrature.elements[bound]], axis=1), axis=0
         )

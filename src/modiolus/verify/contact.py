@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from ..hermite import HermiteMesh, bricks
+from ..hermite import HermiteMesh, Side, bricks
 from ..hermite.basis import Array, IntArray
 from ..mechanics import Load, Problem, Settings, SurfaceContact, solve
-from ..mechanics.facing import Patches, Side, segments
+from ..mechanics.facing import Patches, segments
 from .case import Check
 from .meshes import side
 
