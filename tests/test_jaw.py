@@ -118,7 +118,9 @@ def test_an_open_jaw_carries_the_lower_tissue_and_leaves_the_upper(block_head):
     carried = rotation @ rest["chin"] + shift
     assert np.linalg.norm(carried - rest["chin"]) > 2.0
     assert np.linalg.norm(moved["chin"] - carried) < 0.5
-    assert np.linalg.norm(moved["brow"] - rest["brow"]) < 0.2
+    # There is no galea to hold the loose scalp.
+    travel = np.linalg.norm(carried - rest["chin"])
+    assert np.linalg.norm(moved["brow"] - rest["brow"]) < 0.1 * travel
     # The cut through the neck follows by its share, in its plane as far as what lies beyond lets
     # it, and the mouth has opened.
     elements, axis, side = block_head.sides["neck"]
