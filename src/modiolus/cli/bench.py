@@ -53,7 +53,8 @@ def bench(
 
     Imports, set-up, the parts of an iteration, and whole expressions.
 
-    An expression is solved cold, from rest, and warm, from there to 0.9 times its activations. The
+    An expression is solved cold, from rest, warm, from there to 0.9 times its activations, and cold
+    as if nothing touched anything, on matrices of the same pattern. The
     parts of an iteration stand beside the least time in which the machine could do them.
     """
     from modiolus.face.expression import Expression, expression_names
@@ -121,19 +122,22 @@ def _points(problem: Problem) -> dict[str, int]:
 
 
 def _solved(problem: Problem, head: Head, expression: Expression) -> tuple[State, dict[str, Any]]:
-    """Solve an expression cold and warm; return the state of the former, and how both went."""
+    """Solve an expression cold, warm and without contact; return the first, and how it went."""
     from modiolus.face.expression import resolve
     from modiolus.mechanics import Continuation
     from modiolus.mechanics.face import face_load
+    from modiolus.mechanics.timing import without_contact
 
     path = Continuation(problem)
     activations, jaw = (
         resolve(expression.activations, head.muscles),
         math.radians(expression.jaw_open),
     )
-    cold = path.run(face_load(problem, head, activations, jaw))
+    load = face_load(problem, head, activations, jaw)
+    cold = path.run(load)
     less = {muscle: WARM * value for muscle, value in activations.items()}
     warm = path.run(face_load(problem, head, less, jaw)).statistics
+    free = Continuation(without_contact(problem)).run(load).statistics
     return cold, {
         "cold_s": cold.statistics.solve_s,
         "iterations": cold.statistics.newton_iterations,
@@ -141,6 +145,9 @@ def _solved(problem: Problem, head: Head, expression: Expression) -> tuple[State
         "warm_s": warm.solve_s,
         "warm_iterations": warm.newton_iterations,
         "warm_factorisations": warm.factorisations,
+        "without_contact_s": free.solve_s,
+        "without_contact_iterations": free.newton_iterations,
+        "without_contact_factorisations": free.factorisations,
         "max_penetration_mm": cold.statistics.max_penetration_mm,
     }
 
@@ -196,12 +203,20 @@ def _text(record: dict[str, Any]) -> str:
         f"In brackets the floor, at {machine['gflops_single']:.0f} (single) and "
         f"{machine['gflops_double']:.0f} Gflop/s (double) and {machine['gb_s']:.0f} GB/s."
     )
-    lines += ["", f"{'expression':20s}{'cold':>8s}{'its':>6s}{'fac':>5s}{'warm':>8s}{'its':>6s}"]
+    heading = f"{'expression':16s}{'cold':>8s}{'its':>5s}{'fac':>5s}{'warm':>8s}{'its':>5s}"
+    lines += ["", heading + f"{'no contact':>12s}{'its':>5s}{'fac':>5s}{'overlap':>11s}"]
     for name, row in record["expressions"].items():
         lines.append(
-            f"{name:20s}{row['cold_s']:7.2f}s{row['iterations']:6d}{row['factorisations']:5d}"
-            f"{row['warm_s']:7.2f}s{row['warm_iterations']:6d}"
+            f"{name:16s}{row['cold_s']:7.2f}s{row['iterations']:5d}{row['factorisations']:5d}"
+            f"{row['warm_s']:7.2f}s{row['warm_iterations']:5d}"
+            f"{row['without_contact_s']:11.2f}s{row['without_contact_iterations']:5d}"
+            f"{row['without_contact_factorisations']:5d}{row['max_penetration_mm']:8.3f} mm"
         )
+    whole, free = (
+        sum(row[key] for row in record["expressions"].values())
+        for key in ("cold_s", "without_contact_s")
+    )
+    lines.append(f"All of them take {whole / free:.2f} times as long as without contact.")
     lines += [
         "",
         f"{record['memory_mb']:.0f} MB at most; {machine['cores']} cores, load "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .contact import RigidContact, SurfaceContact
+from .contact import EdgeContact, RigidContact, SurfaceContact
 from .laws import Array
 from .linear import Pardiso, best_solver
 from .problem import Problem
@@ -28,6 +28,12 @@ def least(work: Callable[[], object], repeats: int = REPEATS) -> float:
     return min(times)
 
 
+def without_contact(problem: Problem) -> Problem:
+    """Return the problem as if nothing touched anything, on matrices of the same pattern."""
+    contacts = RigidContact | SurfaceContact | EdgeContact
+    return problem.part([term for term in problem.terms if not isinstance(term, contacts)])
+
+
 def parts(problem: Problem, parameters: Array, pressure: Array, load: Load) -> dict[str, float]:
     """Measure the parts of one Newton iteration at a state.
 
@@ -40,9 +46,7 @@ def parts(problem: Problem, parameters: Array, pressure: Array, load: Load) -> d
         ``matrix_entries`` and, with PARDISO, ``factor_entries`` and ``factor_gflop``, the
         operations of a factorisation.
     """
-    contacts = (RigidContact, SurfaceContact)
-    bare = problem.part([])
-    free = problem.part([term for term in problem.terms if not isinstance(term, contacts)])
+    bare, free = problem.part([]), without_contact(problem)
 
     def evaluation(which: Problem, tangent: bool) -> float:
         def work() -> object:
