@@ -74,9 +74,8 @@ GLIDE = 0.85
 SUPERFICIAL = ("platysma", "orbicularis_oculi_malar")
 #: Those with no bone: frontalis comes from the galea, which slides over the skull with the scalp,
 #: and draws down the skin above 60 % of the forehead's height, in everybody (Cotofana et al. 2020,
-#: Plast. Reconstr. Surg. 145:1155-1162). By this share of the length they are bound to the tissue
-#: at either end, as by `INSERTION_SHARE` to the skin.
-LOOSE, LOOSE_SHARE = ("frontalis_medial", "frontalis_lateral"), 0.35
+#: Plast. Reconstr. Surg. 145:1155-1162). They are bound to the tissue at either end alike.
+LOOSE = ("frontalis_medial", "frontalis_lateral")
 
 #: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
 #: above it.
@@ -138,12 +137,12 @@ def bring_inside(muscle: Muscle, tissue: HermiteMesh, above: float = -np.inf) ->
         if moved.scaled_jacobian(*_samples(moved)).min() > _LEAST_JACOBIAN:
             break
     glide = GLIDE if muscle.name in INSERTIONS and muscle.name not in SUPERFICIAL else 0.0
-    loose = LOOSE_SHARE if muscle.name in LOOSE else 0.0
+    loose = 1.0 - glide if muscle.name in LOOSE else 0.0
     return replace(
         muscle,
         mesh=moved,
         slack=TAUT.get(muscle.name, SLACK),
-        glide=1.0 - loose if loose else glide,
+        glide=glide,
         loose=loose,
     )
 
@@ -404,13 +403,13 @@ TRAGUS = (66.0, -107.0, 1514.0)
 #: the temporal line, the layer is fixed to bone as well (Moss, Mendelson and Taylor 2000, Plast.
 #: Reconstr. Surg. 105:1475-1490), which keeps frontalis from lifting the tail of the brow far.
 #: Behind the cut through the scalp the galea goes on to occipitalis, which holds it: with this
-#: stiffness the scalp gives way to frontalis by a third of what the brow does, as it does in life.
+#: stiffness what goes up and what comes down meet where they do in life.
 FASCIAE: dict[str, tuple[tuple[int, int], tuple[int, int], float]] = {
     "infrahyoid_fascia": ((0, JAW_ROW), (0, 4), 2.0),
     "deep_cervical_fascia": ((0, JAW_ROW), (4, COLUMNS), 0.15),
     "temporal_fascia": ((13, 20), (8, COLUMNS), 1.0),
     "superior_temporal_septum": ((15, 20), (7, 8), 1.0),
-    "galea": ((20, ROWS), (0, 9), 1.0),
+    "galea": ((20, ROWS), (0, 9), 2.0),
 }
 
 
