@@ -30,7 +30,11 @@ class Interruption:
     def listen(cls) -> None:
         """Answer Ctrl-C, a polite kill and the end of the terminal from now on."""
         cls._asked = False
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        # Terminals end so where there is POSIX.
+        if hasattr(signal, "SIGHUP"):
+            numbers.append(signal.SIGHUP)
+        for number in numbers:
             # A shell starts what it puts into the background with SIGINT ignored, and nohup what
             # is to outlive the terminal with SIGHUP.
             if signal.getsignal(number) is not signal.SIG_IGN:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 import subprocess
@@ -54,8 +53,8 @@ def bench(
     Imports, set-up, the parts of an iteration, and whole expressions.
 
     An expression is solved cold, from rest, warm, from there to 0.9 times its activations, and cold
-    as if nothing touched anything, on matrices of the same pattern. The
-    parts of an iteration stand beside the least time in which the machine could do them.
+    as if nothing touched anything, on matrices of the same pattern. The parts of an iteration stand
+    beside the least time in which the machine could do them.
     """
     from modiolus.face.expression import Expression, expression_names
 
@@ -124,15 +123,14 @@ def _points(problem: Problem) -> dict[str, int]:
 def _solved(problem: Problem, head: Head, expression: Expression) -> tuple[State, dict[str, Any]]:
     """Solve an expression cold, warm and without contact; return the first, and how it went."""
     from modiolus.face.expression import resolve
+    from modiolus.face.jaw import opening
     from modiolus.mechanics import Continuation
     from modiolus.mechanics.face import face_load
     from modiolus.mechanics.timing import without_contact
 
     path = Continuation(problem)
-    activations, jaw = (
-        resolve(expression.activations, head.muscles),
-        math.radians(expression.jaw_open),
-    )
+    activations = resolve(expression.activations, head.muscles)
+    jaw = opening(expression.jaw_open)
     load = face_load(problem, head, activations, jaw)
     cold = path.run(load)
     less = {muscle: WARM * value for muscle, value in activations.items()}

@@ -133,11 +133,11 @@ SEPTUM, SEPTUM_STIFFNESS = (1.0, 2.5), 3.0
 #: G = 2.8 kPa, held on its way by k = 0.15 kPa/mm (`embed.FASCIAE`). The cut through the scalp,
 #: which slides over the skull, moves as bone leaves it; what mostly holds it is the galea.
 CUT_STIFFNESS = 0.2
+#: Cuts that move against it, and along how many of the axes.
+FREE = {"neck": 2, "scalp": 3}
 #: Contact points along the margin of a lip or lid, and across, on the side of every element. Where
 #: one eye is shut tightly the edges of its lids cross askew: with fewer they cut in between.
 MARGIN = 11, 7
-#: Cuts that move against it, and along how many of the axes.
-FREE = {"neck": 2, "scalp": 3}
 
 
 class Face:

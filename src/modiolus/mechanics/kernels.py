@@ -524,13 +524,7 @@ def volumetric(volume: Any, det: Any, kappa: Any, p: Any) -> Any:
     """
     if volume == MULTIPLIER:
         excess = det - 1.0
-        return (
-            (0.5 * kappa * excess + p) * excess,
-            kappa * excess + p,
-            kappa,
-            excess,
-            1.0,
-        )
+        return (0.5 * kappa * excess + p) * excess, kappa * excess + p, kappa, excess, 1.0
     log = np.log(det)
     if volume == INVERSE:
         # The residual of the pressure is not the derivative of this energy, which is 2 ln J.
@@ -541,13 +535,7 @@ def volumetric(volume: Any, det: Any, kappa: Any, p: Any) -> Any:
             2.0 * (det - 1.0),
             2.0 / det,
         )
-    return (
-        0.5 * kappa * log**2,
-        kappa * log / det,
-        kappa * (1.0 - log) / det**2,
-        0.0,
-        0.0,
-    )
+    return 0.5 * kappa * log**2, kappa * log / det, kappa * (1.0 - log) / det**2, 0.0, 0.0
 
 
 @njit(cache=True)
