@@ -24,7 +24,7 @@ from modiolus.mechanics import (
 )
 from modiolus.mechanics.beam import bend_beam
 from modiolus.mechanics.kernels import fibre
-from modiolus.mechanics.linear import Pardiso, SuperLU
+from modiolus.mechanics.linear import Pardiso, SuperLU, symmetric_product
 
 FINE = Settings(tolerance=1e-10)
 
@@ -232,6 +232,26 @@ def test_scipy_gives_the_same_state():
     ]
     assert np.abs(states[0].parameters - states[1].parameters).max() < 1e-6
     assert states[1].statistics.wrong_pivots is None
+
+
+def test_pressures_are_eliminated_after_what_they_act_on_and_no_pivot_is_perturbed():
+    problem = cube_with_fibres()
+    state = problem.rest()
+    load = problem.load({"all": 0.2})
+    problem.evaluate(state.parameters, state.pressure, load, tangent=True)
+    matrix = problem.tangent()
+    solver = Pardiso(single=False)
+    order = solver._order(matrix)
+    assert (np.sort(order) == np.arange(problem.n_unknowns)).all()
+    place = np.argsort(order)
+    rows, columns = matrix.nonzero()
+    pressures = columns >= problem.assembly.n_displacements
+    assert (place[rows[pressures]] < place[columns[pressures]]).all()
+    solver.factorise(matrix)
+    assert solver._pardiso.get_iparm(14) == 0
+    assert solver.negative_pivots == problem.assembly.n_pressures
+    right = np.cos(np.arange(problem.n_unknowns))
+    assert np.abs(symmetric_product(matrix, solver.solve(right)) - right).max() < 1e-10
 
 
 @pytest.mark.parametrize("value", [-0.1, 1.2, float("nan")])
