@@ -7,7 +7,7 @@ the global matrix. The list is made once; every later assembly is one pass.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -193,15 +193,17 @@ class Assembly:
             read += int((n * (n + 1) // 2 + n * pressures).sum())
         return read, len(self._indices)
 
-    def clear(self, tangents: bool) -> None:
-        """Set the element arrays to zero but the first pattern's, which `kernels.bulk` fills.
+    def clear(self, groups: Iterable[int], tangents: bool) -> None:
+        """Set the element arrays of some patterns to zero.
 
         Parameters
         ----------
+        groups : iterable of int
+            Numbers of the patterns.
         tangents : bool
             Whether tangents and couplings too.
         """
-        for group in self.groups[1:]:
+        for group in (self.groups[number] for number in groups):
             group.residual[:] = 0.0
             group.pressure_residual[:] = 0.0
             if tangents:

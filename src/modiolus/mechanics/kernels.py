@@ -791,18 +791,22 @@ def evaluate(parameters: Any, params: Any, starts: Any, functions: Any) -> Any:
 
 @njit(cache=True, parallel=True)
 def scatter_points(
+    counts: Any,
     starts: Any,
     functions: Any,
     forces: Any,
     stiffness: Any,
     with_tangent: Any,
+    adds: Any,
     residual: Any,
     tangent: Any,
 ) -> None:
-    """Add point contributions to their elements.
+    """Add point contributions to their elements, or set the elements to them.
 
     Parameters
     ----------
+    counts : (e,) int array
+        Functions of each element, before the padding.
     starts : (e + 1,) int array
         Rows of element ``e`` are ``starts[e] : starts[e + 1]``.
     functions : (n k, m) array
@@ -811,11 +815,17 @@ def scatter_points(
         Derivative of the energy by the functionals' values.
     stiffness : (n, 6, k, k) array
         Second derivatives for the six component pairs.
-    residual, tangent : arrays, added to
+    adds : bool
+        Whether the elements have something already; the padding is 0 and stays so.
+    residual, tangent : arrays, added to or overwritten
     """
-    m = functions.shape[1]
     width = forces.shape[1]
     for e in prange(len(starts) - 1):
+        m = counts[e]
+        if not adds:
+            residual[e, :m] = 0.0
+            if with_tangent:
+                tangent[e, :, :m, :m] = 0.0
         first, last = starts[e] // width, starts[e + 1] // width
         chosen = np.empty(last - first, np.int64)
         n = 0
@@ -836,9 +846,9 @@ def scatter_points(
         force = np.empty((n * width, 3))
         for k in range(n):
             for c in range(width):
-                s[k * width + c] = functions[chosen[k] * width + c]
+                s[k * width + c] = functions[chosen[k] * width + c, :m]
                 force[k * width + c] = forces[chosen[k], c]
-        residual[e] += np.dot(s.T, force)
+        residual[e, :m] += np.dot(s.T, force)
         if with_tangent:
             scaled = np.empty((n * width, m))
             block = np.empty((m, m))

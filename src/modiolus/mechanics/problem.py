@@ -487,7 +487,9 @@ class Problem:
             Whether the tangent leaves out what can make contacts and fibres unstable.
         """
         base = self.assembly.groups[0]
-        self.assembly.clear(tangents=tangent)
+        # Of terms that this problem leaves out; what the others have is overwritten.
+        idle = set(range(1, len(self.assembly.groups))) - {batch.group for batch in self._batches}
+        self.assembly.clear(idle, tangents=tangent)
         volume_ratio = np.empty(self.weights.shape)
         energies = {
             "tissue": float(
@@ -527,7 +529,15 @@ class Problem:
                 forces[points] = answer.forces.reshape(-1, width, 3)
                 stiffness[points] = answer.stiffness.reshape(-1, 6, width, width)
             kernels.scatter_points(
-                starts, functions, forces, stiffness, tangent, group.residual, group.tangent
+                group.pattern.counts,
+                starts,
+                functions,
+                forces,
+                stiffness,
+                tangent,
+                batch.group == 0,
+                group.residual,
+                group.tangent,
             )
         return Evaluation(energies, self.assembly.residual(), volume_ratio)
 
