@@ -21,6 +21,9 @@ from modiolus.face.differences import differences, differences_text
 from modiolus.face.embed import (
     INSERTION_SHARE,
     INSERTIONS,
+    MODIOLAR,
+    MODIOLUS_RADIUS,
+    SIZE,
     bring_inside,
     insertions,
     inside_fraction,
@@ -28,9 +31,10 @@ from modiolus.face.embed import (
 from modiolus.face.head import Head, head_names, lasting_name
 from modiolus.face.muscle import Muscle
 from modiolus.face.muscles import FITTED, MUSCLES
+from modiolus.face.prolonged import LEVATOR, to_modiolus
 from modiolus.face.template import COLUMNS, COMMISSURE, MOUTH_ROW, NECK_CUT
 from modiolus.face.tissue import Tissue, outer_sheet
-from modiolus.hermite import grid
+from modiolus.hermite import assemble, grid, grid_connectivity
 
 SHIPPED = Path(str(files("modiolus.face"))) / "data" / "heads" / "taro"
 FOLDER = Path(
@@ -187,6 +191,22 @@ def test_muscles_of_taro_lie_in_its_tissue(taro, name):
 @pytest.mark.parametrize("name", FITTED)
 def test_muscles_of_taro_keep_their_volume_in_the_tissue(taro, name):
     assert_allclose(taro.about["quality"]["moved_volume"][name], 1.0, atol=0.15)
+
+
+def test_levator_anguli_oris_of_taro_goes_on_to_the_modiolus(taro):
+    muscle = taro.muscles[LEVATOR]
+    ends = [taro.muscles[name].insertion() for name in MODIOLAR]
+    assert np.linalg.norm(muscle.insertion() - np.mean(ends, axis=0)) < MODIOLUS_RADIUS
+    # As in life, in the size of this head.
+    assert_allclose(muscle.length(), SIZE * 35.0, atol=3.0)
+    # What goes on is made from what is there before, and that stays.
+    rows, places = (numbers.max() + 1 for numbers in muscle.rows())
+    nodes = muscle.mesh.parameters.reshape(2, rows + 1, places + 1, 8, 3)[:, :, : places - 3]
+    cells = grid_connectivity((places - 4, rows, 1), (False, False, False))
+    short = replace(muscle, mesh=assemble(cells, nodes.reshape(-1, 8, 3)))
+    again = to_modiolus(short, taro.tissue)
+    assert_allclose(again.mesh.parameters, muscle.mesh.parameters, atol=1e-6)
+    assert (again.corners == muscle.corners).all() and again.glide == muscle.glide
 
 
 def test_fractions_of_taro(taro):

@@ -32,6 +32,7 @@ from .embed import (
 from .head import Head, RigidSurface
 from .malar import MALAR, malar_part
 from .muscles import build_muscles, muscle_quality, muscle_table
+from .prolonged import LEVATOR, to_modiolus
 from .provenance import GIVEN, INFERRED
 from .template import COLUMNS, EYE_ROW, MOUTH_ROW, NECK_CUT, ROWS
 from .tissue import (
@@ -96,9 +97,13 @@ def build_head(
     fitted = build_muscles(anatomy)
     tell(0.75, "muscles into the tissue")
     lids = "orbicularis_oculi_palpebral"
-    muscles = {**fitted, lids: move_lids(fitted[lids])}
-    muscles = {key: bring_inside(m, tissue.mesh, NECK_CUT) for key, m in muscles.items()}
-    muscles[MALAR] = malar_part(tissue.mesh)
+    lain = {**fitted, lids: move_lids(fitted[lids])}
+    lain = {key: bring_inside(m, tissue.mesh, NECK_CUT) for key, m in lain.items()}
+    muscles = {
+        **lain,
+        LEVATOR: to_modiolus(lain[LEVATOR], tissue.mesh),
+        MALAR: malar_part(tissue.mesh),
+    }
     tell(0.85, "muscle fraction and attachments")
     element, xi = tissue.landmarks["mouth_corner"]
     corner = tissue.mesh.evaluate([element], [(*xi[:2], 0.5)])[0]
@@ -135,8 +140,8 @@ def build_head(
     }
     head.about["quality"]["inside"] = share
     tell(0.95, "quality of the muscles")
-    # The lids' muscle is compared where its source is.
-    moved = {key: muscles[key] for key in fitted} | {lids: move_lids(muscles[lids], -LID_SHIFT)}
+    # The lids' muscle is compared where its source is, levator anguli oris as far as it goes.
+    moved = {**lain, lids: move_lids(lain[lids], -LID_SHIFT)}
     rows = muscle_quality(moved, anatomy)
     head.about["quality"]["moved_rms_mm"] = {row.name: round(row.rms, 2) for row in rows}
     head.about["quality"]["moved_volume"] = {
@@ -184,6 +189,7 @@ def provenance(muscles: Iterable[str], deep: Iterable[str]) -> dict[str, str]:
     out = {"skin": f"{GIVEN}: moved out where muscles need room"}
     out["inner_surface"] = f"{GIVEN}: on bone, elsewhere {INFERRED}: a greatest depth by region"
     out |= dict.fromkeys(muscles, f"{GIVEN}: moved into the tissue")
+    out[LEVATOR] += f", {INFERRED} from there to the modiolus"
     out[MALAR] = f"{INFERRED}: laid in the tissue, from the literature"
     out |= dict.fromkeys(deep, GIVEN)
     out["gums_upper"] = f"{GIVEN}: cut away over depressor septi nasi"

@@ -77,8 +77,8 @@ SUPERFICIAL = ("platysma", "orbicularis_oculi_malar")
 #: Plast. Reconstr. Surg. 145:1155-1162). They are bound to the tissue at either end alike.
 LOOSE = ("frontalis_medial", "frontalis_lateral")
 
-#: Muscles that end at the modiolus. Levator anguli oris does so too, but the source's ends well
-#: above it.
+#: Muscles of the source that end at the modiolus. Levator anguli oris, which ends well above it
+#: there, is prolonged to where they meet (`modiolus.face.prolonged`).
 MODIOLAR = (
     "zygomaticus_major",
     "depressor_anguli_oris",

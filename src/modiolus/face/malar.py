@@ -19,7 +19,7 @@ from .embed import SLACK
 from .muscle import Muscle
 from .template import COLUMNS
 
-__all__ = ["MALAR", "malar_part"]
+__all__ = ["MALAR", "below", "malar_part"]
 
 MALAR = "orbicularis_oculi_malar"
 
@@ -40,11 +40,11 @@ def malar_part(tissue: HermiteMesh) -> Muscle:
     sides = (1.0 - along)[:, None, None] * ends[0] + along[:, None, None] * ends[1]
     places = (1.0 - across)[:, None] * sides[:, None, 0] + across[:, None] * sides[:, None, 1]
     layers = [_DEPTH + 0.5 * _THICKNESS, _DEPTH - 0.5 * _THICKNESS]
-    nodes = np.stack([_below(tissue, places, depth) for depth in layers], axis=2)
+    nodes = np.stack([below(tissue, places, depth) for depth in layers], axis=2)
     return Muscle(MALAR, grid(nodes), "strap", slack=SLACK)
 
 
-def _below(tissue: HermiteMesh, places: ArrayLike, depth: float) -> Array:
+def below(tissue: HermiteMesh, places: ArrayLike, depth: float) -> Array:
     """Return points (..., 3) at a depth below columns and rows (..., 2) of the template."""
     places = np.asarray(places, dtype=float)
     cells = places.astype(np.int64).reshape(-1, 2)
