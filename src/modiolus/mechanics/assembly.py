@@ -7,7 +7,7 @@ the global matrix. The list is made once; every later assembly is one pass.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,6 +109,8 @@ class ElementArrays:
     coupling : (e, 3, m, v) array
     pressure_residual : (e, v) array
         ``v`` is 8, or 0 in groups without pressures.
+    stiff : (e,) bool array
+        Which elements have a tangent; what stands there of the others means nothing.
     """
 
     def __init__(self, pattern: Pattern) -> None:
@@ -119,6 +121,7 @@ class ElementArrays:
         self.pressure_residual = np.zeros((e, v))
         self.tangent = np.zeros((e, len(PAIRS), m, m))
         self.coupling = np.zeros((e, 3, m, v))
+        self.stiff = np.ones(e, dtype=bool)
 
 
 class Assembly:
@@ -173,11 +176,14 @@ class Assembly:
         equations[: len(self.equations)] = self.equations
         equations[len(self.equations) :, 0] = self.pressure_equations
         near = shared[np.argwhere(self.equations >= 0)[:, 0]]
-        columns = equations[near.indices]
+        columns = equations.take(near.indices, axis=0)
         row = np.repeat(np.arange(near.shape[0], dtype=np.int32), np.diff(near.indptr))
         upper = columns >= row[:, None]
         pressures = np.arange(self.n_displacements, self.n, dtype=np.int32)
-        lengths = [np.bincount(row, upper.sum(axis=1)), np.ones(self.n_pressures)]
+        lengths = [
+            np.add.reduceat(upper.ravel(), 3 * near.indptr[:-1], dtype=np.int64),
+            np.ones(self.n_pressures),
+        ]
         self._indices = np.concatenate([columns[upper], pressures])
         self._indptr = np.cumsum(np.concatenate([[0], *lengths])).astype(np.int32)
 
@@ -190,25 +196,21 @@ class Assembly:
             free = (self.equations[pattern.params] >= 0) & pattern.valid[:, :, None]
             n = free.sum(axis=(1, 2))
             pressures = (self.pressure_equations[pattern.vertices] >= 0).sum(axis=1)
-            read += int((n * (n + 1) // 2 + n * pressures).sum())
+            read += int((n * (n + 1) // 2 + n * pressures)[group.stiff].sum())
         return read, len(self._indices)
 
-    def clear(self, groups: Iterable[int], tangents: bool) -> None:
-        """Set the element arrays of some patterns to zero.
+    def clear(self, tangents: bool) -> None:
+        """Empty the element arrays but the first pattern's, which `kernels.bulk` fills.
 
         Parameters
         ----------
-        groups : iterable of int
-            Numbers of the patterns.
         tangents : bool
-            Whether tangents and couplings too.
+            Whether tangents too.
         """
-        for group in (self.groups[number] for number in groups):
+        for group in self.groups[1:]:
             group.residual[:] = 0.0
-            group.pressure_residual[:] = 0.0
             if tangents:
-                group.tangent[:] = 0.0
-                group.coupling[:] = 0.0
+                group.stiff[:] = False
 
     def forces(self) -> Array:
         """Return the residual of every parameter, fixed ones included, (n_params, 3)."""
@@ -242,6 +244,7 @@ class Assembly:
             kernels.gather(
                 group.tangent,
                 group.coupling,
+                group.stiff,
                 group.pattern.params,
                 group.pattern.counts,
                 group.pattern.vertices,
@@ -274,7 +277,7 @@ class Assembly:
         out = np.zeros(self.n)
         for group in self.groups:
             pattern = group.pattern
-            d = direction[pattern.params] * pattern.valid[:, :, None]
+            d = direction[pattern.params] * (pattern.valid & group.stiff[:, None])[:, :, None]
             force = np.zeros_like(d)
             for pair, (i, j) in enumerate(PAIRS):
                 block = group.tangent[:, pair]

@@ -797,11 +797,11 @@ def scatter_points(
     forces: Any,
     stiffness: Any,
     with_tangent: Any,
-    adds: Any,
     residual: Any,
     tangent: Any,
+    stiff: Any,
 ) -> None:
-    """Add point contributions to their elements, or set the elements to them.
+    """Add point contributions to their elements.
 
     Parameters
     ----------
@@ -815,17 +815,13 @@ def scatter_points(
         Derivative of the energy by the functionals' values.
     stiffness : (n, 6, k, k) array
         Second derivatives for the six component pairs.
-    adds : bool
-        Whether the elements have something already; the padding is 0 and stays so.
-    residual, tangent : arrays, added to or overwritten
+    residual, tangent : arrays, added to
+    stiff : (e,) bool array
+        Which elements have a tangent already; others get theirs overwritten.
     """
     width = forces.shape[1]
     for e in prange(len(starts) - 1):
         m = counts[e]
-        if not adds:
-            residual[e, :m] = 0.0
-            if with_tangent:
-                tangent[e, :, :m, :m] = 0.0
         first, last = starts[e] // width, starts[e + 1] // width
         chosen = np.empty(last - first, np.int64)
         n = 0
@@ -866,7 +862,9 @@ def scatter_points(
                 np.dot(s.T, scaled, block)
                 for a in range(m):
                     for b in range(m):
-                        tangent[e, pair, a, b] += block[a, b]
+                        before = tangent[e, pair, a, b] if stiff[e] else 0.0
+                        tangent[e, pair, a, b] = before + block[a, b]
+            stiff[e] = True
 
 
 @njit(cache=True, parallel=True)
@@ -912,6 +910,7 @@ def fibres(
 def gather(
     tangent: Any,
     coupling: Any,
+    stiff: Any,
     params: Any,
     counts: Any,
     vertices: Any,
@@ -930,6 +929,8 @@ def gather(
     ----------
     tangent : (e, 6, m, m) array
     coupling : (e, 3, m, v) array
+    stiff : (e,) bool array
+        Which elements have a tangent.
     params, counts, vertices : (e, m), (e,), (e, v) int arrays
         Of the pattern.
     first : (n_params + 1,) int array
@@ -963,6 +964,8 @@ def gather(
         start = (indptr[r0] - least[0], indptr[r1] - least[1], indptr[r2] - least[2])
         for t in range(first[a], first[a + 1]):
             e, own = hosts[t], places[t] - 1
+            if not stiff[e]:
+                continue
             block = tangent[e]
             for b in range(own, counts[e]):
                 for j in range(3):

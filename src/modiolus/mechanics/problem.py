@@ -487,9 +487,7 @@ class Problem:
             Whether the tangent leaves out what can make contacts and fibres unstable.
         """
         base = self.assembly.groups[0]
-        # Of terms that this problem leaves out; what the others have is overwritten.
-        idle = set(range(1, len(self.assembly.groups))) - {batch.group for batch in self._batches}
-        self.assembly.clear(idle, tangents=tangent)
+        self.assembly.clear(tangents=tangent)
         volume_ratio = np.empty(self.weights.shape)
         energies = {
             "tissue": float(
@@ -535,9 +533,9 @@ class Problem:
                 forces,
                 stiffness,
                 tangent,
-                batch.group == 0,
                 group.residual,
                 group.tangent,
+                group.stiff,
             )
         return Evaluation(energies, self.assembly.residual(), volume_ratio)
 
