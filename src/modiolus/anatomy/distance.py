@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numba
@@ -256,8 +257,12 @@ class DistanceGrid:
             raise InputError(f"distance grid: {error} is missing; build it anew") from error
         if values.dtype != np.uint8:
             raise InputError("distance grid: its deltas are not bytes; build it anew")
+        values = values.copy()
         for axis in range(values.ndim):
-            values = np.cumsum(values, axis=axis, dtype=np.uint8)
+            # Plane by plane it takes half the time of `np.cumsum`.
+            planes = np.moveaxis(values, axis, 0)
+            for before, plane in pairwise(planes):
+                plane += before
         return cls(origin, spacing, values.view(np.int8))
 
 

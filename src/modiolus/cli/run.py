@@ -8,23 +8,23 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modiolus import __version__
 from modiolus.cli.outputs import write_report
 from modiolus.compiling import compiler
-from modiolus.export import write_glb, write_vtu
-from modiolus.export.scene import FaceScene
 from modiolus.face.head import Head, lasting_name
 from modiolus.face.refine import at_points
 from modiolus.hermite.tessellate import tessellate
 from modiolus.mechanics import State
 from modiolus.mechanics.face import Face, FaceSettings
 from modiolus.progress import Progress
-from modiolus.scans.result import STATE_FILE, save_state
-from modiolus.view.face import draw_face
+
+# What draws and writes a state is imported when there is one.
+if TYPE_CHECKING:
+    from modiolus.export.scene import FaceScene
 
 __all__ = ["Runner"]
 
@@ -61,6 +61,8 @@ class Runner:
     @cached_property
     def scene(self) -> FaceScene:
         """What is drawn of the head."""
+        from modiolus.export.scene import FaceScene
+
         return FaceScene(self.head)
 
     def solve(
@@ -91,6 +93,10 @@ class Runner:
         began : float
             `time.perf_counter` at the start of the run.
         """
+        from modiolus.export import write_glb
+        from modiolus.scans.result import STATE_FILE, save_state
+        from modiolus.view.face import draw_face
+
         rest, moved = self.head.tissue.parameters, state.parameters
         jaw = state.load.jaw
         heading = f"{title or name} · {self.head.name}"
@@ -176,6 +182,8 @@ class Runner:
         }
 
     def _write_tissue(self, state: State, path: Path) -> None:
+        from modiolus.export import write_vtu
+
         half = self.face.problem(state) is self.face.half
         head = self.head if half else self.head.whole
         volume = tessellate(head.tissue, _VTU_DIVISIONS)
