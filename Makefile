@@ -28,6 +28,9 @@ $(BIN)/python:
 $(VENV)/.installed-core: pyproject.toml | $(BIN)/python
 	@echo "Installing modiolus into $(VENV) (a few minutes the first time)"
 	@.ci/pip-install $(BIN)/python -e .
+	@echo "Compiling its kernels (half a minute)"
+	@out=$$(mktemp -d) && $(BIN)/modiolus simulate --activation mentalis=0.05 --quiet --out $$out >/dev/null \
+		&& rm -r $$out
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/.installed-core

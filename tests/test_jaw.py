@@ -209,7 +209,6 @@ def test_teeth_are_drawn_alike_on_both_sides_without_a_gap(taro):
         assert (vertices[pairs[times == 1], 1] > vertices[:, 1].max() - 2.0).all()
 
 
-@pytest.mark.slow
 def test_a_yawn_opens_the_mouth_and_is_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as left:
@@ -218,6 +217,8 @@ def test_a_yawn_opens_the_mouth_and_is_reported(tmp_path, monkeypatch, capsys):
     record = json.loads(capsys.readouterr().out)
     moved = {name: place["displacement"] for name, place in record["landmarks"].items()}
     assert record["converged"] and record["jaw_open"] == pytest.approx(8.0)
+    # A step's prediction that lets the mandible into tissue takes three times as many.
+    assert record["factorisations"] < 50
     assert moved["lower_lip_mid"][2] < -8.0
     assert np.linalg.norm(moved["upper_lip_mid"]) < 1.5
     assert moved["chin"][2] < -8.0

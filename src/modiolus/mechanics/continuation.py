@@ -27,8 +27,12 @@ from .terms import Load
 #: Factorisations of a step after which the next is as long, and how much it may change at once.
 EASY = 6.0
 CHANGE = 0.7, 2.5
+#: Share of a step in which the rate of what moves bodies is told.
+ONSET = 1e-3
 #: Parts of a correction that the next may have for the factors to stay: above and below tolerance.
 GOOD, FAIR = 0.4, 0.7
+#: Iterations without what is unstable once it has led astray.
+WARY = 2
 #: Damping, in multiples of the first diagonal: below the least there is none; the first where the
 #: tangent leads astray; beyond the most a step, or a relaxation, is given up.
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING, MOST_VISCOSITY = 0.03, 0.1, 20.0, 1e4
@@ -402,6 +406,20 @@ class Continuation:
         held[~self.problem.fixed] = 0.0
         return held
 
+    def _onset(self, load: Load) -> Array:
+        """Return the forces on the last state as a load begins to act, at the rate of its onset.
+
+        A body that moves as far as the step would go into tissue that does not yet follow, or
+        leave it.
+        """
+        problem, state = self.problem, self.state
+        begun = state.load.towards(load, ONSET)
+        still, pushed = (
+            problem.evaluate(state.parameters, state.pressure, at).residual
+            for at in (state.load, begun)
+        )
+        return np.asarray(still + (pushed - still) / ONSET)
+
     def _predict(self, load: Load) -> _Iterate:
         """Move along the tangent against the whole change of the load.
 
@@ -412,20 +430,20 @@ class Continuation:
         held = self._held(load)
         if not self._at_hand or held.any():
             self._factorise(state.parameters, state.pressure, state.load)
-        unmoved = problem.evaluate(state.parameters, state.pressure, load)
-        right = unmoved.residual
+        moved = state.parameters + held
+        here = _Iterate(moved, state.pressure, problem.evaluate(moved, state.pressure, load))
+        right = here.evaluation.residual
         if held.any():
-            right = right + problem.assembly.multiply(held)
+            right = self._onset(load) + problem.assembly.multiply(held)
         change = -self.solver.solve(right)
-        moved = _Iterate(state.parameters + held, state.pressure, unmoved)
         factor = 1.0
         while factor > 0.1:
-            there = self._trial(moved, change, factor, load)
+            there = self._trial(here, change, factor, load)
             if there is not None:
                 return there
             factor *= 0.5
         # Near a limit point the tangent leads nowhere; the corrections begin at rest.
-        return replace(moved, evaluation=problem.evaluate(moved.parameters, moved.pressure, load))
+        return here
 
     def _advance(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:
         """Predict and correct the equilibrium at ``load``, or reject the step."""
@@ -449,15 +467,14 @@ class Continuation:
         change = -self.solver.solve(here.evaluation.residual)
         here, size, settled = self._settle(here, change, load, enough)
         damping = 0.0
-        wary = False
+        wary = 0
         if settled:
             return self._converged(here, load, size)
         for done in range(settings.max_iterations):
-            convex = wary or size > settings.near
+            convex = wary > 0 or size > settings.near
             evaluation = self._factorise(
                 here.parameters, here.pressure, load, convex=convex, damping=damping
             )
-            wary = False
             while True:
                 # A negative pivot too many means that the tissue would buckle away from
                 # here, an empty line search that the tangent leads astray.
@@ -465,11 +482,12 @@ class Continuation:
                     change = -self.solver.solve(evaluation.residual)
                     size = self.problem.size(change)
                     self._iterations += 1
-                    found = self._search(here, change, size, load, tolerance)
+                    far = wary > 0 or size > tolerance
+                    found = self._search(here, change, size, load, tolerance, far)
                     if found is not None:
                         break
                 if not convex:
-                    convex = wary = True
+                    convex, wary = True, WARY
                     self._factorise(
                         here.parameters, here.pressure, load, convex=True, damping=damping
                     )
@@ -479,6 +497,7 @@ class Continuation:
                     raise self._fault("no damping makes the corrections descend", evaluation)
                 self._refactorise(damping)
             here, following, full = found
+            wary = max(wary - 1, 0)
             after = self.problem.size(following)
             exact = damping == 0.0 and not convex
             if exact and size < tolerance and enough(following, here):
@@ -523,7 +542,7 @@ class Continuation:
                 if self._wrong_pivots() <= 0:
                     change = -self.solver.solve(evaluation.residual)
                     size = problem.size(change)
-                    found = self._search(here, change, size, load, tolerance)
+                    found = self._search(here, change, size, load, tolerance, size > tolerance)
                 if found is None:
                     viscosity *= 4.0
                     if viscosity > MOST_VISCOSITY:
@@ -588,7 +607,13 @@ class Continuation:
         return self.problem.product(change, direction) / self.problem.product(direction, direction)
 
     def _search(
-        self, here: _Iterate, change: Array, size: float, load: Load, tolerance: float
+        self,
+        here: _Iterate,
+        change: Array,
+        size: float,
+        load: Load,
+        tolerance: float,
+        far: bool,
     ) -> tuple[_Iterate, Array, bool] | None:
         """Return the first trial along ``change`` that neither crushes nor diverges.
 
@@ -596,8 +621,9 @@ class Continuation:
         and fibres that switch, insisting on descent takes more iterations than it saves. But a
         trial that goes far past the point where the forces do no work along the way is taken
         back to there: where contacts close and open, corrections would go to and fro for ever.
-        One after which the forces still do half their work goes on, up to eight times as far:
-        where tissue gives way, every correction alone is far too short.
+        One after which the forces still do half their work goes on, up to eight times as far,
+        where an equilibrium may be ``far``: where tissue gives way, every correction alone is far
+        too short.
 
         Returns
         -------
@@ -620,7 +646,7 @@ class Continuation:
                     factor *= max(start / (start - work(there)), 0.2)
                     shortened = True
                     continue
-                while not shortened and size > tolerance and factor < 8.0:
+                while far and not shortened and factor < 8.0:
                     if not work(there) < 0.5 * start < 0.0:
                         break
                     farther = self._trial(here, change, 2.0 * factor, load)
