@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -230,10 +231,11 @@ class _Table:
         """Return comparison, parameters, angle of the jaw, and further figures of a row."""
         from modiolus.face.expression import Expression, resolve
         from modiolus.face.jaw import opening
+        from modiolus.fitting.register import Registration
         from modiolus.scans.compare import compare
-        from modiolus.scans.identify import identify
+        from modiolus.scans.identify import identify, settle
         from modiolus.scans.target import ScanTarget
-        from modiolus.scans.unknown import TABLE_2, unknowns
+        from modiolus.scans.unknown import JAW, TABLE_2, unknowns
 
         if way == "hand":
             expression = Expression.shipped(name)
@@ -243,14 +245,23 @@ class _Table:
             found = compare(self.skin, state.parameters, scan, self.neutral)
             return found, state.parameters, jaw, {"values": values}
         known = [name] if name in TABLE_2 else []
-        # All muscles begin where those of the paper have come to.
-        result = identify(
-            self.face,
-            ScanTarget(self.skin, scan, self.neutral),
-            unknowns(self.head, known if way == "table2" else None, known, self.further),
-            start=self._found.get(name) if way == "all" else None,
-            report=progress.update,
-        )
+        free = unknowns(self.head, known if way == "table2" else None, known, self.further)
+        target = ScanTarget(self.skin, scan, self.neutral)
+        starts = [self._found.get(name) if way == "all" else None]
+        if way == "all" and known:
+            # All muscles begin where those of the paper have come to, and at what is shipped: a
+            # lip that slips off the teeth on one way may not on the other.
+            shipped = Expression.shipped(name)
+            begun = resolve(shipped.activations, self.head.muscles)
+            begun[JAW] = opening(shipped.jaw_open)
+            given = np.array([begun.get(item.name, item.usual) for item in free])
+            with contextlib.suppress(SolveError):
+                starts.append(settle(self.face, target, free, given, Registration()))
+        results = [
+            identify(self.face, target, free, start=start, report=progress.update)
+            for start in starts
+        ]
+        result = min(results, key=lambda item: item.history[-1])
         self._found[name] = result
         placed = scan.placed(result.pose)
         found = compare(self.skin, result.state.parameters, placed, self.neutral)
