@@ -1,9 +1,9 @@
 """Levator anguli oris prolonged to the modiolus, above which the source's ends.
 
 The source's is 14 mm long and ends in an oblique edge between the wing of the nose and the corner
-of the mouth. In life it "inserts into and below the angle of the mouth", where its fibres mingle
-with those of zygomaticus major, depressor anguli oris and orbicularis oris (Gray's Anatomy, "Face
-and scalp"), and is 35 mm long, which are 30 mm in a head of this size.
+of the mouth. In life it ends at the corner itself, where its fibres meet those of zygomaticus
+major, depressor anguli oris and orbicularis oris (Gray's Anatomy, "Face and scalp"), and is 35 mm
+long, which are 30 mm in a head of this size.
 """
 
 from __future__ import annotations
