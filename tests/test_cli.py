@@ -290,8 +290,11 @@ def test_quiet_says_nothing(run):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_interruption_leaves_nothing(tmp_path, number):
+    # The tests themselves may run under nohup, whose deafness would be inherited.
+    listen = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL)"
+    command = f"{listen}; from modiolus.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-c", "from modiolus.cli import main; main()", "simulate", "terror"],
+        [sys.executable, "-c", command, "simulate", "terror"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
