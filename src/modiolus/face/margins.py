@@ -143,9 +143,10 @@ def _mouth(surfaces: Sequence[Surface], mouth: Array) -> Array | None:
     for k, row in enumerate(rows):
         if line and x[k] - line[-1][0] > _LAPSE:
             break
-        found = [
+        parted = [
             _parting(seen[k], depth[k], z, row) for seen, depth, known in profiles if known[k, row]
         ]
+        found = [place for place in parted if not np.isnan(place).any()]
         if found and sharp[k, row] > _FADED:
             line.append(np.array([x[k], *np.mean(found, axis=0)]))
     if len(line) < _KNOWN or line[0][0] - x[0] > _CUT:
@@ -186,20 +187,20 @@ def _sharpest_path(gain: Array) -> NDArray[np.int64]:
 def _parting(seen: Array, depth: Array, z: Array, here: int) -> tuple[float, float]:
     """Return depth and height where two lips meet, or half way between where they stop showing.
 
-    Where one hangs over the other they meet behind it.
+    Where one hangs over the other they meet behind it. The depth is NaN where neither shows.
     """
     steps = np.abs(np.diff(depth)) > _STEP
     reach = round(2.0 / _UP)
     low, high = max(here - reach, 0), min(here + reach, len(steps))
     found = low + np.flatnonzero(steps[low:high])
     if not len(found):
-        return float(depth[here]), float(z[here])
+        return float(seen[here]), float(z[here])
     edges = [int(found[0]), int(found[-1]) + 1]
     if len(found) == 1:
         edges = [max(edges, key=lambda k: float(depth[k]))]
     known = [k for k in edges if not np.isnan(seen[k])]
     if not known:
-        return float(depth[here]), float(z[here])
+        return float(seen[here]), float(z[here])
     return float(np.mean(seen[known])), float(np.mean(z[edges]))
 
 
