@@ -406,18 +406,15 @@ class Continuation:
         held[~self.problem.fixed] = 0.0
         return held
 
-    def _onset(self, load: Load) -> Array:
+    def _onset(self, load: Load, still: Array) -> Array:
         """Return the forces on the last state as a load begins to act, at the rate of its onset.
 
         A body that moves as far as the step would go into tissue that does not yet follow, or
-        leave it.
+        leave it. ``still`` are the forces before.
         """
-        problem, state = self.problem, self.state
+        state = self.state
         begun = state.load.towards(load, ONSET)
-        still, pushed = (
-            problem.evaluate(state.parameters, state.pressure, at).residual
-            for at in (state.load, begun)
-        )
+        pushed = self.problem.evaluate(state.parameters, state.pressure, begun).residual
         return np.asarray(still + (pushed - still) / ONSET)
 
     def _predict(self, load: Load) -> _Iterate:
@@ -428,13 +425,14 @@ class Continuation:
         """
         problem, state = self.problem, self.state
         held = self._held(load)
+        moved, right = state.parameters + held, None
         if not self._at_hand or held.any():
-            self._factorise(state.parameters, state.pressure, state.load)
-        moved = state.parameters + held
+            still = self._factorise(state.parameters, state.pressure, state.load).residual
+            if held.any():
+                right = self._onset(load, still) + problem.assembly.multiply(held)
         here = _Iterate(moved, state.pressure, problem.evaluate(moved, state.pressure, load))
-        right = here.evaluation.residual
-        if held.any():
-            right = self._onset(load) + problem.assembly.multiply(held)
+        if right is None:
+            right = here.evaluation.residual
         change = -self.solver.solve(right)
         factor = 1.0
         while factor > 0.1:
