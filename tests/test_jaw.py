@@ -104,7 +104,7 @@ def test_contact_moves_with_the_jaw(block_head):
         assert_allclose(force, answer.forces[:, k], rtol=1e-5, atol=1e-4)
         stiffness = (high.forces - low.forces) / (2.0 * h)
         for i in range(3):
-            found = answer.stiffness[:, pairs[min(i, k), max(i, k)]]
+            found = answer.stiffness()[:, pairs[min(i, k), max(i, k)]]
             assert_allclose(stiffness[:, i], found, rtol=1e-5, atol=1e-2)
 
 

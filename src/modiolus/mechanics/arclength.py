@@ -183,7 +183,8 @@ class _Path:
         found, load = self.factorise(at), self.load(at.share)
         pivots = self.solver.negative_pivots
         statistics = replace(
-            self.problem.check(at.parameters, load, found.volume_ratio),
+            self.problem.check(found.volume_ratio),
+            max_penetration_mm=self.problem.penetration(at.parameters, load),
             wrong_pivots=None if pivots is None else pivots - self.problem.assembly.n_pressures,
         )
         return replace(

@@ -111,6 +111,8 @@ class ElementArrays:
         ``v`` is 8, or 0 in groups without pressures.
     stiff : (e,) bool array
         Which elements have a tangent; what stands there of the others means nothing.
+    acts : bool
+        Whether there is any residual.
     """
 
     def __init__(self, pattern: Pattern) -> None:
@@ -122,6 +124,12 @@ class ElementArrays:
         self.tangent = np.zeros((e, len(PAIRS), m, m))
         self.coupling = np.zeros((e, 3, m, v))
         self.stiff = np.ones(e, dtype=bool)
+        self.acts = True
+        self._rows = (pattern.params[:, :, None] * 3 + np.arange(3)).ravel()
+
+    def forces(self, size: int) -> Array:
+        """Return the sum of the residuals of every component of the parameters, (size,)."""
+        return np.asarray(np.bincount(self._rows, self.residual.ravel(), minlength=size), float)
 
 
 class Assembly:
@@ -208,7 +216,9 @@ class Assembly:
             Whether tangents too.
         """
         for group in self.groups[1:]:
-            group.residual[:] = 0.0
+            if group.acts:
+                group.residual[:] = 0.0
+            group.acts = False
             if tangents:
                 group.stiff[:] = False
 
@@ -216,8 +226,8 @@ class Assembly:
         """Return the residual of every parameter, fixed ones included, (n_params, 3)."""
         out = np.zeros(self.equations.size)
         for group in self.groups:
-            index = group.pattern.params[:, :, None] * 3 + np.arange(3)
-            out += np.bincount(index.ravel(), group.residual.ravel(), minlength=len(out))
+            if group.acts:
+                out += group.forces(len(out))
         return out.reshape(-1, 3)
 
     def residual(self) -> Array:

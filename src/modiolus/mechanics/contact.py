@@ -112,13 +112,19 @@ class RigidContact(PointTerm):
         energies = self.stiffness * energies + 0.5 * self.slide_stiffness * moved**2
         slope = -self.stiffness * slope + self.slide_stiffness * moved
         bend = self.stiffness * bend + self.slide_stiffness
-        # A convex body pushes tissue off sideways: the curvature is the part that can be
-        # negative, and on teeth it is large.
-        curved = 0.0 * slope if convex else slope
-        stiffness = np.stack(
-            [bend * gradient[:, i] * gradient[:, j] + curved * hessian[:, i, j] for i, j in PAIRS],
-            axis=1,
-        )
+
+        def stiffness() -> Array:
+            # A convex body pushes tissue off sideways: the curvature is the part that can be
+            # negative, and on teeth it is large.
+            curved = 0.0 * slope if convex else slope
+            return np.stack(
+                [
+                    bend * gradient[:, i] * gradient[:, j] + curved * hessian[:, i, j]
+                    for i, j in PAIRS
+                ],
+                axis=1,
+            )
+
         return Response(energies, slope[:, None] * gradient, stiffness)
 
     def depth(self, parameters: Array, load: Load) -> Array:
@@ -223,15 +229,18 @@ class SurfaceContact(PointTerm):
         energies, slope, bend = self.pushes(self._points, gap, load)
         forces = np.zeros_like(vectors)
         forces[:, 0] = -slope[:, None] * normal
-        # By the vector and its component: (n, 3, 3, 3, 3) for the first three vectors.
-        second = np.zeros((len(vectors), 6, 3, 6, 3))
-        second[:, 0, :, 0] = bend[:, None, None] * normal[:, :, None] * normal[:, None, :]
-        touching = slope > 0.0
-        if touching.any() and not convex:
-            second[touching, :3, :, :3] -= slope[touching, None, None, None, None] * bent(
-                gap[touching], normal[touching], vectors[touching]
-            )
-        stiffness = np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
+
+        def stiffness() -> Array:
+            # By the vector and its component: (n, 3, 3, 3, 3) for the first three vectors.
+            second = np.zeros((len(vectors), 6, 3, 6, 3))
+            second[:, 0, :, 0] = bend[:, None, None] * normal[:, :, None] * normal[:, None, :]
+            touching = slope > 0.0
+            if touching.any() and not convex:
+                second[touching, :3, :, :3] -= slope[touching, None, None, None, None] * bent(
+                    gap[touching], normal[touching], vectors[touching]
+                )
+            return np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
+
         return Response(energies, forces, stiffness)
 
     def points(self, parameters: Array) -> Array:
@@ -322,19 +331,22 @@ class EdgeContact(PointTerm):
         for k, sign in enumerate((1.0, -1.0)):
             along[:, 6 * k] = shares[k][:, None] * normals[k]
             apart[:, 6 * k] = sign * normals[k]
-        second = bend[:, None, None] * along.reshape(n, 36, 1) * along.reshape(n, 1, 36)
-        second = second.reshape(n, 12, 3, 12, 3)
-        touching = slope > 0.0
-        if touching.any() and not convex:
-            force = slope[touching, None, None, None, None]
-            apart = apart[touching]
-            second[touching] -= (0.5 / EDGE) * force * np.einsum("nai,nbj->naibj", apart, apart)
-            for k in range(2):
-                some = slice(6 * k, 6 * k + 3)
-                turn = bent(gaps[k][touching], normals[k][touching], parts[k][touching])
-                weight = shares[k][touching, None, None, None, None]
-                second[touching, some, :, some] -= force * weight * turn
-        stiffness = np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
+
+        def stiffness() -> Array:
+            second = bend[:, None, None] * along.reshape(n, 36, 1) * along.reshape(n, 1, 36)
+            second = second.reshape(n, 12, 3, 12, 3)
+            touching = slope > 0.0
+            if touching.any() and not convex:
+                force = slope[touching, None, None, None, None]
+                aside = apart[touching]
+                second[touching] -= (0.5 / EDGE) * force * np.einsum("nai,nbj->naibj", aside, aside)
+                for k in range(2):
+                    some = slice(6 * k, 6 * k + 3)
+                    turn = bent(gaps[k][touching], normals[k][touching], parts[k][touching])
+                    weight = shares[k][touching, None, None, None, None]
+                    second[touching, some, :, some] -= force * weight * turn
+            return np.stack([second[:, :, i, :, j] for i, j in PAIRS], axis=1)
+
         return Response(energies, -slope[:, None, None] * along, stiffness)
 
 

@@ -207,7 +207,7 @@ class Continuation:
             return self._follow(load)
         except KeyboardInterrupt:
             self._at_hand = False
-            raise Interrupted(self._reached, self.state) from None
+            raise Interrupted(self._reached, self._told()) from None
 
     def _follow(self, load: Load) -> State:
         """Take steps to a load, and press contacts apart there."""
@@ -252,7 +252,7 @@ class Continuation:
                     state = self._relax(*goal(target))
                 except SolveError:
                     text = self._account(load, reached, fault, steps)
-                    raise LoadNotReached(text, reached, self.state) from None
+                    raise LoadNotReached(text, reached, self._told()) from None
                 self._jumps += 1
             work = max(self._factorisations - before, 1)
             step = (target - reached) * float(np.clip(EASY / work, *CHANGE))
@@ -261,12 +261,12 @@ class Continuation:
             if reached < 1.0 and steps >= settings.max_steps:
                 fault = f"the last step that failed: {fault}" if fault else "no step failed"
                 text = self._account(load, reached, fault, steps)
-                raise LoadNotReached(text, reached, self.state)
+                raise LoadNotReached(text, reached, self._told())
             if self.report is not None:
                 statistics = self.state.statistics
                 self.report(reached, f"J {statistics.J_min:.2f} to {statistics.J_max:.2f}")
         self._press(steps, began, kept)
-        return self.state
+        return self._told()
 
     def _press(self, steps: int, began: float, kept: bool) -> None:
         """Press contacts apart as long as they overlap (Uzawa's method).
@@ -276,10 +276,11 @@ class Continuation:
         settings = self.settings
         try:
             for done in range(settings.augmentations):
-                overlap = self.state.statistics.max_penetration_mm
-                if overlap <= settings.penetration and not (kept and done == 0):
+                again = kept and done == 0
+                if not again and self._told().statistics.max_penetration_mm <= settings.penetration:
                     break
                 if self.report is not None:
+                    overlap = self.problem.overlap(self.state.parameters, self.state.load)
                     self.report(1.0, f"pressing apart what overlaps by {overlap:.2f} mm")
                 pressed = self.problem.augment(self.state.parameters, self.state.load)
                 state = self._advance(pressed, settings.tolerance, settings.penetration)
@@ -312,6 +313,18 @@ class Continuation:
             solve_s=working_time() - began,
         )
         self.state = replace(state, statistics=statistics)
+
+    def _told(self) -> State:
+        """Return the last state with the overlap of its contacts.
+
+        It takes longer to find than a correction, so that it is not sought at every step.
+        """
+        state = self.state
+        if math.isnan(state.statistics.max_penetration_mm):
+            overlap = self.problem.penetration(state.parameters, state.load)
+            statistics = replace(state.statistics, max_penetration_mm=overlap)
+            self.state = replace(state, statistics=statistics)
+        return self.state
 
     def sensitivities(self, muscles: Sequence[str]) -> Array:
         """Return the derivatives of the present state's parameters by activations.
@@ -660,7 +673,8 @@ class Continuation:
     def _converged(self, here: _Iterate, load: Load, size: float) -> State:
         wrong = None if self.solver.negative_pivots is None else self._wrong_pivots()
         statistics = replace(
-            self.problem.check(here.parameters, load, here.evaluation.volume_ratio),
+            self.problem.check(here.evaluation.volume_ratio),
+            max_penetration_mm=math.nan,
             wrong_pivots=wrong,
             correction_mm=size,
         )

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
+from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
 from ..hermite import HermiteMesh, Side, gauss
@@ -44,8 +44,8 @@ FREE = 0.5
 EDGE = 0.16
 #: Widths of a patch beyond the master's border at which points far from all flanks are before them.
 ROOM = 0.1
-#: Length of Newton's last step in local coordinates: what it leaves is less than rounding.
-SETTLED = 1e-7
+#: Length of Newton's last step in local coordinates: what it leaves is about its square.
+SETTLED = 1e-5
 #: Parts of a patch's diagonal that its points are away from the nearest sample at most.
 SPACING = 0.25
 #: How many times a width beyond an edge to a neighbour counts, which is there to be met instead.
@@ -285,7 +285,7 @@ def _closest_patch(
     return patch, least, over
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def project(
     parameters: Any,
     patches: Any,
@@ -331,11 +331,11 @@ def project(
     """
     local, samples, size = _sampled(parameters, patches, extraction)
     width = candidates.shape[1]
-    side, near, seed = np.empty(width, np.int64), np.empty(width), np.empty(width, np.int64)
     host[:] = -1
     gap[:] = np.inf
     outside[:] = 0.0
-    for p in range(len(points)):
+    for p in prange(len(points)):
+        side, near, seed = np.empty(width, np.int64), np.empty(width), np.empty(width, np.int64)
         for s in range(host.shape[1]):
             count = 0
             for f in candidates[p]:

@@ -20,6 +20,8 @@ from .laws import Law, Volume
 # Numba takes these for compile-time constants.
 PLAIN, GUCCIONE = int(Law.PLAIN), int(Law.GUCCIONE)
 MULTIPLIER, INVERSE = int(Volume.MULTIPLIER), int(Volume.INVERSE)
+#: Functionals below which a second thread costs more than it saves.
+FEW = 2000
 
 
 @njit(cache=True, inline="always")
@@ -777,31 +779,43 @@ def bulk(
     return energies.sum()
 
 
+@njit(cache=True)
+def _evaluated(e: Any, parameters: Any, params: Any, starts: Any, functions: Any, out: Any) -> None:
+    first, last = starts[e], starts[e + 1]
+    if first < last:
+        out[first:last] = np.dot(functions[first:last], gathered(parameters, params[e]))
+
+
 @njit(cache=True, parallel=True)
 def evaluate(parameters: Any, params: Any, starts: Any, functions: Any) -> Any:
     """Evaluate vector functionals ``v = Σ_a s_a x_a`` at points sorted by element; (n, 3)."""
     out = np.empty((len(functions), 3))
-    for e in prange(len(starts) - 1):
-        if starts[e] == starts[e + 1]:
-            continue
-        x = gathered(parameters, params[e])
-        out[starts[e] : starts[e + 1]] = np.dot(functions[starts[e] : starts[e + 1]], x)
+    if len(functions) < FEW:
+        for e in range(len(starts) - 1):
+            _evaluated(e, parameters, params, starts, functions, out)
+    else:
+        for e in prange(len(starts) - 1):
+            _evaluated(e, parameters, params, starts, functions, out)
     return out
 
 
+@njit(cache=True)
+def _add_force(e: Any, m: Any, starts: Any, functions: Any, forces: Any, residual: Any) -> None:
+    width = forces.shape[1]
+    force = np.zeros((3, m))
+    for row in range(starts[e], starts[e + 1]):
+        f = forces[row // width, row % width]
+        if f[0] == 0.0 and f[1] == 0.0 and f[2] == 0.0:
+            continue
+        for i in range(3):
+            for a in range(m):
+                force[i, a] += functions[row, a] * f[i]
+    residual[e, :m] += force.T
+
+
 @njit(cache=True, parallel=True)
-def scatter_points(
-    counts: Any,
-    starts: Any,
-    functions: Any,
-    forces: Any,
-    stiffness: Any,
-    with_tangent: Any,
-    residual: Any,
-    tangent: Any,
-    stiff: Any,
-) -> None:
-    """Add point contributions to their elements.
+def add_forces(counts: Any, starts: Any, functions: Any, forces: Any, residual: Any) -> None:
+    """Add the forces of points to their elements.
 
     Parameters
     ----------
@@ -813,13 +827,40 @@ def scatter_points(
         The ``k`` functionals of a point one after the other.
     forces : (n, k, 3) array
         Derivative of the energy by the functionals' values.
+    residual : (e, m, 3) array, added to
+    """
+    if len(functions) < FEW:
+        for e in range(len(counts)):
+            if starts[e] < starts[e + 1]:
+                _add_force(e, counts[e], starts, functions, forces, residual)
+    else:
+        for e in prange(len(counts)):
+            if starts[e] < starts[e + 1]:
+                _add_force(e, counts[e], starts, functions, forces, residual)
+
+
+@njit(cache=True, parallel=True)
+def add_stiffness(
+    counts: Any,
+    starts: Any,
+    functions: Any,
+    stiffness: Any,
+    tangent: Any,
+    stiff: Any,
+) -> None:
+    """Add the stiffness of points to their elements.
+
+    Parameters
+    ----------
+    counts, starts, functions
+        See `add_forces`.
     stiffness : (n, 6, k, k) array
         Second derivatives for the six component pairs.
-    residual, tangent : arrays, added to
+    tangent : array, added to
     stiff : (e,) bool array
         Which elements have a tangent already; others get theirs overwritten.
     """
-    width = forces.shape[1]
+    width = stiffness.shape[2]
     for e in prange(len(starts) - 1):
         m = counts[e]
         first, last = starts[e] // width, starts[e + 1] // width
@@ -827,10 +868,8 @@ def scatter_points(
         n = 0
         for point in range(first, last):
             acts = False
-            for c in range(width):
-                for i in range(3):
-                    acts = acts or forces[point, c, i] != 0.0
-                for i in range(6):
+            for i in range(6):
+                for c in range(width):
                     for d in range(width):
                         acts = acts or stiffness[point, i, c, d] != 0.0
             if acts:
@@ -839,32 +878,28 @@ def scatter_points(
         if n == 0:
             continue
         s = np.empty((n * width, m))
-        force = np.empty((n * width, 3))
         for k in range(n):
             for c in range(width):
                 s[k * width + c] = functions[chosen[k] * width + c, :m]
-                force[k * width + c] = forces[chosen[k], c]
-        residual[e, :m] += np.dot(s.T, force)
-        if with_tangent:
-            scaled = np.empty((n * width, m))
-            block = np.empty((m, m))
-            for pair in range(6):
-                for k in range(n):
-                    for c in range(width):
-                        row = k * width + c
-                        factor = stiffness[chosen[k], pair, c, 0]
+        scaled = np.empty((n * width, m))
+        block = np.empty((m, m))
+        for pair in range(6):
+            for k in range(n):
+                for c in range(width):
+                    row = k * width + c
+                    factor = stiffness[chosen[k], pair, c, 0]
+                    for a in range(m):
+                        scaled[row, a] = factor * s[k * width, a]
+                    for d in range(1, width):
+                        factor = stiffness[chosen[k], pair, c, d]
                         for a in range(m):
-                            scaled[row, a] = factor * s[k * width, a]
-                        for d in range(1, width):
-                            factor = stiffness[chosen[k], pair, c, d]
-                            for a in range(m):
-                                scaled[row, a] += factor * s[k * width + d, a]
-                np.dot(s.T, scaled, block)
-                for a in range(m):
-                    for b in range(m):
-                        before = tangent[e, pair, a, b] if stiff[e] else 0.0
-                        tangent[e, pair, a, b] = before + block[a, b]
-            stiff[e] = True
+                            scaled[row, a] += factor * s[k * width + d, a]
+            np.dot(s.T, scaled, block)
+            for a in range(m):
+                for b in range(m):
+                    before = tangent[e, pair, a, b] if stiff[e] else 0.0
+                    tangent[e, pair, a, b] = before + block[a, b]
+        stiff[e] = True
 
 
 @njit(cache=True, parallel=True)

@@ -515,28 +515,28 @@ class Problem:
         for batch in self._batches:
             group, width = self.assembly.groups[batch.group], batch.width
             functions, starts = batch.place(parameters, load)
+            for term, _ in batch.members:
+                energies.setdefault(term.name, 0.0)
+            if not len(functions):
+                continue
             vectors = kernels.evaluate(parameters, group.pattern.params, starts, functions)
             vectors = vectors.reshape(-1, width, 3)
             forces = np.empty(vectors.shape)
-            stiffness = np.empty((len(vectors), 6, width, width))
+            stiffness = np.empty((len(vectors) if tangent else 0, 6, width, width))
             for term, points in batch.members:
                 answer = term.respond(
                     vectors[points] if width > 1 else vectors[points, 0], load, convex
                 )
-                energies[term.name] = energies.get(term.name, 0.0) + float(answer.energies.sum())
+                energies[term.name] += float(answer.energies.sum())
                 forces[points] = answer.forces.reshape(-1, width, 3)
-                stiffness[points] = answer.stiffness.reshape(-1, 6, width, width)
-            kernels.scatter_points(
-                group.pattern.counts,
-                starts,
-                functions,
-                forces,
-                stiffness,
-                tangent,
-                group.residual,
-                group.tangent,
-                group.stiff,
-            )
+                if tangent:
+                    stiffness[points] = answer.stiffness().reshape(-1, 6, width, width)
+            counts, group.acts = group.pattern.counts, True
+            kernels.add_forces(counts, starts, functions, forces, group.residual)
+            if tangent:
+                kernels.add_stiffness(
+                    counts, starts, functions, stiffness, group.tangent, group.stiff
+                )
         return Evaluation(energies, self.assembly.residual(), volume_ratio)
 
     def tangent(self, extra: Array | None = None) -> sp.csr_matrix:
@@ -639,13 +639,12 @@ class Problem:
             },
         )
 
-    def check(self, parameters: Array, load: Load, volume_ratio: Array) -> Statistics:
-        """Return the figures that describe a state rather than the way to it."""
+    def check(self, volume_ratio: Array) -> Statistics:
+        """Return the figures of a state's volume ratio at the Gauss points."""
         return Statistics(
             J_min=float(volume_ratio.min()),
             J_max=float(volume_ratio.max()),
             volume_change=float((self.weights * volume_ratio).sum() / self.weights.sum() - 1.0),
-            max_penetration_mm=self.penetration(parameters, load),
         )
 
     def muscles_in(self, element: int) -> list[str]:

@@ -108,13 +108,14 @@ class Response:
         In mN mm.
     forces : (n, 3) or (n, width, 3) array
         Derivative by the vectors.
-    stiffness : (n, 6) or (n, 6, width, width) array
-        Second derivatives, component pairs 00, 01, 02, 11, 12, 22.
+    stiffness : callable
+        Returns the second derivatives, (n, 6) or (n, 6, width, width), component pairs 00, 01, 02,
+        11, 12, 22: most trials have no use for them.
     """
 
     energies: Array
     forces: Array
-    stiffness: Array
+    stiffness: Callable[[], Array]
 
 
 class PointTerm(ABC):
@@ -357,7 +358,7 @@ class Fibres(PointTerm):
     def respond(self, vectors: Array, load: Load, convex: bool = False) -> Response:
         """Evaluate the fibre potential ``ψ(|v|)``."""
         n = len(vectors)
-        out = Response(np.empty(n), np.empty((n, 3)), np.empty((n, 6)))
+        energies, forces, stiffness = np.empty(n), np.empty((n, 3)), np.empty((n, 6))
         kernels.fibres(
             vectors,
             self.quadrature.weights,
@@ -366,11 +367,11 @@ class Fibres(PointTerm):
             self.slacks,
             self.law.array(),
             convex,
-            out.energies,
-            out.forces,
-            out.stiffness,
+            energies,
+            forces,
+            stiffness,
         )
-        return out
+        return Response(energies, forces, lambda: stiffness)
 
 
 class GlidingFibres(Fibres):
@@ -472,10 +473,9 @@ class GlidingFibres(Fibres):
         """Evaluate the fibre potential at the points of every fibre, and sum it up."""
         found = super().respond(self._spread(vectors, load), load, convex)
         return Response(
-            *(
-                np.add.reduceat(part, self._starts, axis=0)
-                for part in (found.energies, found.forces, found.stiffness)
-            )
+            np.add.reduceat(found.energies, self._starts),
+            np.add.reduceat(found.forces, self._starts),
+            lambda: np.add.reduceat(found.stiffness(), self._starts),
         )
 
 
@@ -540,7 +540,7 @@ class Springs(PointTerm):
         return Response(
             0.5 * k * (moved**2).sum(axis=1),
             k[:, None] * moved,
-            np.stack([k, zero, zero, k, zero, k], axis=1),
+            lambda: np.stack([k, zero, zero, k, zero, k], axis=1),
         )
 
 
@@ -592,10 +592,14 @@ class Sheet(PointTerm):
         along = vectors / stretch[:, None]
         energy, slope, bend = (self.stiffness * part for part in penalty(stretch - 1.0, self.TOE))
         across = slope / stretch
-        stiffness = (bend - across)[:, None] * np.stack(
-            [along[:, i] * along[:, j] for i, j in PAIRS], axis=1
-        )
-        stiffness[:, [i == j for i, j in PAIRS]] += across[:, None]
+
+        def stiffness() -> Array:
+            out = (bend - across)[:, None] * np.stack(
+                [along[:, i] * along[:, j] for i, j in PAIRS], axis=1
+            )
+            out[:, [i == j for i, j in PAIRS]] += across[:, None]
+            return np.asarray(out)
+
         return Response(energy, slope[:, None] * along, stiffness)
 
 
@@ -639,7 +643,7 @@ class DeadForces(PointTerm):
         """Evaluate ``-f · (x - X)``."""
         forces = -load.forces.get(self.name, 0.0) * self.forces
         energies = (forces * (vectors - self.rest)).sum(axis=1)
-        return Response(energies, forces, np.zeros((len(vectors), 6)))
+        return Response(energies, forces, lambda: np.zeros((len(vectors), 6)))
 
 
 class FollowerPressure(PointTerm):
@@ -700,12 +704,16 @@ class FollowerPressure(PointTerm):
         area = factors[:, None] * np.cross(first, second)
         forces = np.zeros_like(vectors)
         forces[:, 0] = area
-        stiffness = np.zeros((len(vectors), 6, 3, 3))
-        for pair, k, sign in ((1, 2, 0.5), (2, 1, -0.5), (4, 0, 0.5)):
-            for column, tangent in ((1, second), (2, -first)):
-                value = sign * factors * tangent[:, k]
-                stiffness[:, pair, 0, column] = value
-                stiffness[:, pair, column, 0] = -value
+
+        def stiffness() -> Array:
+            out = np.zeros((len(vectors), 6, 3, 3))
+            for pair, k, sign in ((1, 2, 0.5), (2, 1, -0.5), (4, 0, 0.5)):
+                for column, tangent in ((1, second), (2, -first)):
+                    value = sign * factors * tangent[:, k]
+                    out[:, pair, 0, column] = value
+                    out[:, pair, column, 0] = -value
+            return out
+
         return Response((area * place).sum(axis=1) / 3.0, forces, stiffness)
 
 
@@ -750,5 +758,5 @@ class Tension(PointTerm):
         return Response(
             0.5 * k * (vectors**2).sum(axis=1),
             k[:, None] * vectors,
-            np.stack([k, zero, zero, k, zero, k], axis=1),
+            lambda: np.stack([k, zero, zero, k, zero, k], axis=1),
         )
