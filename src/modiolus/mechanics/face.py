@@ -138,6 +138,9 @@ FREE = {"neck": 2, "scalp": 3}
 #: Contact points along the margin of a lip or lid, and across, on the side of every element. Where
 #: one eye is shut tightly the edges of its lids cross askew: with fewer they cut in between.
 MARGIN = 11, 7
+#: Points along a lid, and up it, by which the inside of every element touches the eyeball. A lid is
+#: one element high: between fewer points, and past the last of them, its edge sank in by 2 mm.
+ON_EYE = 7, 11
 
 
 class Face:
@@ -582,16 +585,17 @@ def _deep_contacts(
     head: Head, settings: FaceSettings, measured: Head | None
 ) -> Iterator[RigidContact]:
     """Put the inner surface against every deep structure that it may reach."""
-    elements, xi, areas = face_points(head.tissue, *head.sides["inner"])
-    points = (measured or head).tissue.evaluate(elements, xi)
-    free = _vestibule(head, points)
+    shape = (measured or head).tissue
     for name, grid in _bodies(head).items():
+        elements, xi, areas = _inside(head, ON_EYE if name == "eyeball" else None)
+        points = shape.evaluate(elements, xi)
         surface = MirroredDistance(grid, head.midplane)
         distance = surface.sample(points).distance
         near = distance < grid.band - 0.2
         if not near.any():
             continue
-        slides = (distance[near] < settings.reach) & ~free[near] & (name in SLIDING)
+        free = _vestibule(head, points[near])
+        slides = (distance[near] < settings.reach) & ~free & (name in SLIDING)
         yield RigidContact(
             head.tissue,
             surface,
@@ -604,6 +608,15 @@ def _deep_contacts(
             motion=_motion(head.jaw, FOLLOWERS.get(name, 0.0)),
             touching=None if measured is None else measured.tissue,
         )
+
+
+def _inside(head: Head, counts: tuple[int, int] | None) -> tuple[IntArray, Array, Array]:
+    """Return points of the inner surface: Gauss points, or so many up to all of its borders."""
+    elements, axis, side = head.sides["inner"]
+    if counts is None:
+        return face_points(head.tissue, elements, axis, side)
+    patches, xi, areas = Patches.of(head.tissue, head.sides["inner"]).points(*trapezoidal(counts))
+    return np.asarray(elements)[patches], np.insert(xi, axis, float(side), axis=1), areas
 
 
 def _bodies(head: Head) -> dict[str, DistanceGrid]:
