@@ -111,6 +111,20 @@ def test_an_earlier_state_is_in_equilibrium(face, pressed, both):
     assert unbalanced(start.load) < 1e-2 * unbalanced(replace(start.load, offsets={}))
 
 
+def test_conjugate_corrections_follow_the_exact_tangent(face, pressed):
+    problem, path = face.half, Continuation(face.half)
+    load = replace(pressed.load, activations={"strap": 0.92})
+    place = pressed.parameters, pressed.pressure, load
+    residual = path._factorise(*place).residual
+    exact = -path.solver.solve(residual)
+    path._factorise(*place, convex=True, damping=3e-3)
+    rough = -path.solver.solve(residual)
+    problem.evaluate(*place, tangent=True)
+    better = path._conjugate(residual)
+    assert problem.size(rough - exact) > 0.1 * problem.size(exact)
+    assert problem.size(better - exact) < 0.03 * problem.size(exact)
+
+
 def test_offsets_of_no_contact_are_refused(face, pressed):
     offsets = dict(pressed.load.offsets)
     mesh = face.half.mesh

@@ -33,6 +33,9 @@ ONSET = 1e-3
 GOOD, FAIR = 0.4, 0.7
 #: Iterations without what is unstable once it has led astray.
 WARY = 2
+#: Conjugate directions of a correction at most, the part of it that the last may have, and how far
+#: one goes in which the tangent gives way, by its own length.
+CONJUGATE, ENOUGH, DOWNHILL = 10, 0.05, 4.0
 #: Damping, in multiples of the first diagonal: below the least there is none; the first where the
 #: tangent leads astray; beyond the most a step, or a relaxation, is given up.
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING, MOST_VISCOSITY = 0.03, 0.1, 20.0, 1e4
@@ -400,6 +403,33 @@ class Continuation:
         self._factorisations += 1
         self._at_hand = damping == 0.0 and self._wrong_pivots() <= 0
 
+    def _conjugate(self, residual: Array) -> Array:
+        """Return the correction by the last tangent with the factors of another that is stable.
+
+        Conjugate gradients, with the factors as preconditioner. They share the volumes' rows, which
+        the first solution meets, so that what follows are displacements that keep the volume.
+        Along a direction in which the tangent gives way the correction goes on downhill.
+        """
+        matrix = self.problem.tangent()
+        change = -self.solver.solve(residual)
+        left = -residual - symmetric_product(matrix, change)
+        direction, last = np.zeros_like(change), math.inf
+        least = ENOUGH * self.problem.size(change)
+        for _ in range(CONJUGATE):
+            step = self.solver.solve(left)
+            if self.problem.size(step) < least:
+                break
+            drop = float(left @ step)
+            direction = step + drop / last * direction
+            last = drop
+            force = symmetric_product(matrix, direction)
+            bend = float(direction @ force)
+            if bend <= 0.0:
+                return np.asarray(change + min(drop / max(-bend, 1e-30), DOWNHILL) * direction)
+            change += drop / bend * direction
+            left -= drop / bend * force
+        return change
+
     def _wrong_pivots(self) -> int:
         found = self.solver.negative_pivots
         return 0 if found is None else found - self.problem.assembly.n_pressures
@@ -479,14 +509,29 @@ class Continuation:
         here, size, settled = self._settle(here, change, load, enough)
         damping = 0.0
         wary = 0
+        # Whether the exact tangent was unstable: its corrections come from the factors of another.
+        unstable = False
         if settled:
             return self._converged(here, load, size)
         for done in range(settings.max_iterations):
             convex = wary > 0 or size > settings.near
-            evaluation = self._factorise(
-                here.parameters, here.pressure, load, convex=convex, damping=damping
-            )
-            while True:
+            if unstable and not convex:
+                evaluation = self.problem.evaluate(
+                    here.parameters, here.pressure, load, tangent=True
+                )
+                change = self._conjugate(evaluation.residual)
+                size = self.problem.size(change)
+                self._iterations += 1
+                found = self._search(here, change, size, load, tolerance, True)
+                if found is None:
+                    unstable, wary = False, WARY
+                    continue
+            else:
+                evaluation = self._factorise(
+                    here.parameters, here.pressure, load, convex=convex, damping=damping
+                )
+                found = None
+            while found is None:
                 # A negative pivot too many means that the tissue would buckle away from
                 # here, an empty line search that the tangent leads astray.
                 if self._wrong_pivots() <= 0:
@@ -498,15 +543,17 @@ class Continuation:
                     if found is not None:
                         break
                 if not convex:
-                    convex, wary = True, WARY
+                    unstable = convex = True
                     self._factorise(
                         here.parameters, here.pressure, load, convex=True, damping=damping
                     )
-                    continue
+                    break
                 damping = max(10.0 * damping, FIRST_DAMPING)
                 if damping > MOST_DAMPING:
                     raise self._fault("no damping makes the corrections descend", evaluation)
                 self._refactorise(damping)
+            if found is None:
+                continue
             here, following, full = found
             wary = max(wary - 1, 0)
             after = self.problem.size(following)
