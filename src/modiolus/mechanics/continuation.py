@@ -543,11 +543,14 @@ class Continuation:
                     if found is not None:
                         break
                 if not convex:
-                    unstable = convex = True
+                    convex = True
                     self._factorise(
                         here.parameters, here.pressure, load, convex=True, damping=damping
                     )
-                    break
+                    unstable = self._wrong_pivots() <= 0
+                    if unstable:
+                        break
+                    continue
                 damping = max(10.0 * damping, FIRST_DAMPING)
                 if damping > MOST_DAMPING:
                     raise self._fault("no damping makes the corrections descend", evaluation)
