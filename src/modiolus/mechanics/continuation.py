@@ -52,6 +52,8 @@ class Settings:
         pressures' is then below the same part of them, or of 1 kPa where they are less.
     passing : float
         The same for the steps before the last, whose only use is to begin the next one.
+    pressing : float
+        The same as long as contacts overlap that are pressed apart afterwards.
     first_step, least_step : float
         Fractions of the load.
     warm_change : float
@@ -79,6 +81,7 @@ class Settings:
 
     tolerance: float = 3e-4
     passing: float = 2e-2
+    pressing: float = 1e-3
     first_step: float = 0.06
     least_step: float = 2e-3
     warm_change: float = 0.1
@@ -89,7 +92,7 @@ class Settings:
     max_relaxations: int = 60
     least_ratio: float = 0.05
     penetration: float = 0.04
-    augmentations: int = 4
+    augmentations: int = 8
     near: float = 2e-2
 
 
@@ -495,13 +498,13 @@ class Continuation:
     ) -> State:
         """Return the equilibrium at ``load`` that is near a point, or reject the step.
 
-        Where contacts overlap by more than ``overlap`` (mm), `Settings.passing` will do.
+        Where contacts overlap by more than ``overlap`` (mm), `Settings.pressing` will do.
         """
         settings = self.settings
 
         def enough(change: Array, there: _Iterate) -> bool:
             size = max(self.problem.size(change), self._lag(change, there))
-            if size >= settings.passing:
+            if size >= settings.pressing:
                 return size < tolerance
             return size < tolerance or self.problem.overlap(there.parameters, load) > overlap
 
