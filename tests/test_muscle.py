@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from modiolus.errors import InputError
+from modiolus.face.malar import thinned
 from modiolus.face.muscle import Muscle
 from modiolus.hermite import grid
 
@@ -73,6 +74,20 @@ def test_points_across_a_broad_muscle_are_no_farther_apart_than_elements_of_a_fa
         for points in (muscle.quadrature((4, count, 2)).points, muscle.end_points(0.3)[0]):
             across = np.unique(points[:, 1].round(6))
             assert len(across) == count and np.diff(across).max() < 6.0
+
+
+def test_a_thinned_muscle_keeps_its_volume_and_fades_towards_its_borders():
+    muscle = beam(counts=(4, 2, 1))
+    rule = muscle.quadrature((4, 8, 2))
+    thin = thinned(muscle, rule)
+    assert_array_equal(thin.points, rule.points)
+    assert thin.weights.sum() == pytest.approx(rule.weights.sum())
+    share = thin.weights / rule.weights
+    x, y = rule.points[:, 0] / 30.0, rule.points[:, 1] / 6.0
+    middle = abs(y - 0.5) < 0.2
+    assert share[middle & (x < 0.5)].min() > 1.2
+    assert share[(y < 0.05) | (y > 0.95)].max() < 0.1
+    assert share[x > 0.98].max() < 0.1
 
 
 def test_a_gliding_muscle_stretches_by_what_its_bound_part_moves():

@@ -231,7 +231,7 @@ class Muscle:
             Volumes for which they stand (mm³).
         """
         rule = self.quadrature((8, self.across(), 1))
-        along, _ = self._along(rule)
+        along, _ = self.along(rule)
         near = along > 1.0 - share if insertion else along < share
         return rule.points[near], rule.weights[near]
 
@@ -257,7 +257,7 @@ class Muscle:
             Stretch of the whole fibre for each mm by which the tissue at the point moves along it
             (1/mm); 0 on a fibre that no tissue holds.
         """
-        along, length = self._along(rule)
+        along, length = self.along(rule)
         lines = np.column_stack([self.rows()[0][rule.elements], np.round(rule.xi[:, 1:], 9)])
         fibres = np.unique(lines, axis=0, return_inverse=True)[1].ravel()
         far = self._shared(fibres, np.where(held & (along > self.glide), rule.weights, 0.0))
@@ -273,7 +273,7 @@ class Muscle:
         total = np.bincount(fibres, volumes)[fibres]
         return np.asarray(np.divide(volumes, total, out=np.zeros_like(volumes), where=total > 0.0))
 
-    def _along(self, rule: MusclePoints) -> tuple[np.ndarray, np.ndarray]:
+    def along(self, rule: MusclePoints) -> tuple[np.ndarray, np.ndarray]:
         """Return the share of the length before points, and the length (mm), both (q,)."""
         lengths = self._row_lengths()
         row, place = self.rows()
