@@ -27,10 +27,10 @@ from .template import COLUMNS, FOLD_COLUMN, JAW_ROW, ROWS
 #: Stretch from which passive fibres are taut. The muscles of a resting face are not: a mouth
 #: that moves by 10 mm stretches its antagonists by a fifth before they resist.
 SLACK = 1.15
-#: The lower lip is: at rest it presses on the teeth by 0.8 kPa, twice as much as the upper one
-#: (Hellsing and L'Estrange 1987). With slack it does not follow the corners of a smile up, and the
-#: lips part; an upper lip as taut is drawn over the teeth, in folds, where the jaw opens.
-TAUT = {"orbicularis_oris_lower": 1.0}
+#: The lips are sooner: at rest the lower one presses on the teeth by 0.8 kPa, twice as much as the
+#: upper one (Hellsing and L'Estrange 1987). With slack it does not follow the corners of a smile
+#: up, and the lips part; an upper lip as taut is drawn over the teeth, in folds, as the jaw opens.
+TAUT = {"orbicularis_oris_upper": 1.1, "orbicularis_oris_lower": 1.0}
 
 #: Distance that muscles keep from the outer and the inner surface of the tissue (mm).
 CLEARANCE = (0.35, 0.1)
