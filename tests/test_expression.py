@@ -11,12 +11,13 @@ MUSCLES = ("zygomaticus_major", "mentalis", *GROUPS["frontalis"])
 
 
 def test_the_four_expressions_use_the_muscles_of_wu_2013():
-    # Wu et al. 2013, table 2.
+    # Wu et al. 2013, table 2; orbicularis oris keeps the lips of the closed smile together.
     table = {
         "smile-closed": {
             "buccinator",
             "levator_anguli_oris",
             "orbicularis_oculi_orbital",
+            "orbicularis_oris",
             "risorius",
             "zygomaticus_major",
             "zygomaticus_minor",

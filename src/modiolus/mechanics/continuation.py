@@ -546,13 +546,14 @@ class Continuation:
                     if found is not None:
                         break
                 if not convex:
-                    convex = True
+                    unstable, convex = self._wrong_pivots() > 0, True
                     self._factorise(
                         here.parameters, here.pressure, load, convex=True, damping=damping
                     )
-                    unstable = self._wrong_pivots() <= 0
+                    unstable = unstable and size < settings.passing and self._wrong_pivots() <= 0
                     if unstable:
                         break
+                    wary = WARY
                     continue
                 damping = max(10.0 * damping, FIRST_DAMPING)
                 if damping > MOST_DAMPING:
@@ -563,6 +564,8 @@ class Continuation:
             here, following, full = found
             wary = max(wary - 1, 0)
             after = self.problem.size(following)
+            # Where such corrections do not contract, the exact tangent may serve again.
+            unstable = unstable and (convex or after < GOOD * size)
             exact = damping == 0.0 and not convex
             if exact and size < tolerance and enough(following, here):
                 # Where contacts switch, corrections need not shrink any more.
