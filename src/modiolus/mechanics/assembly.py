@@ -127,9 +127,9 @@ class ElementArrays:
         self.acts = True
         self._rows = (pattern.params[:, :, None] * 3 + np.arange(3)).ravel()
 
-    def forces(self, size: int) -> Array:
-        """Return the sum of the residuals of every component of the parameters, (size,)."""
-        return np.asarray(np.bincount(self._rows, self.residual.ravel(), minlength=size), float)
+    def summed(self, forces: Array, size: int) -> Array:
+        """Return the sum of forces (e, m, 3) for every component of the parameters, (size,)."""
+        return np.asarray(np.bincount(self._rows, forces.ravel(), minlength=size), float)
 
 
 class Assembly:
@@ -227,7 +227,7 @@ class Assembly:
         out = np.zeros(self.equations.size)
         for group in self.groups:
             if group.acts:
-                out += group.forces(len(out))
+                out += group.summed(group.residual, len(out))
         return out.reshape(-1, 3)
 
     def residual(self) -> Array:
@@ -294,8 +294,7 @@ class Assembly:
                 force[:, :, i] += np.einsum("eab,eb->ea", block, d[:, :, j])
                 if i != j:
                     force[:, :, j] += np.einsum("eab,ea->eb", block, d[:, :, i])
-            index = pattern.params[:, :, None] * 3 + np.arange(3)
-            forces += np.bincount(index.ravel(), force.ravel(), minlength=len(forces))
+            forces += group.summed(force, len(forces))
             equations = self.pressure_equations[pattern.vertices]
             keep = equations >= 0
             rate = np.einsum("eias,eai->es", group.coupling, d)
