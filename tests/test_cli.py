@@ -247,6 +247,8 @@ def test_a_result_that_is_doubtful_says_so():
     assert len(found) == 3
     assert found[0] == "parts that touch overlap by 2.5 mm"
     assert "20% of its volume" in found[1]
+    stuck = Statistics(max_penetration_mm=0.21, pressed=False).doubts
+    assert stuck == ("parts that touch overlap by 0.21 mm, and could not be pressed farther apart",)
     assert Statistics(correction_mm=3e-4).doubts == ()
     assert "by 0.008 mm" in Statistics(correction_mm=0.0081).doubts[0]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from modiolus.cli import main
-from modiolus.errors import InputError
+from modiolus.errors import InputError, SolveError
 from modiolus.face.head import Head
 from modiolus.mechanics import Continuation, Load, LoadNotReached, Settings, Stride, trace
 from modiolus.mechanics.contact import known_offsets
@@ -116,14 +116,26 @@ def test_conjugate_corrections_follow_the_exact_tangent(face, pressed):
     problem, path = face.half, Continuation(face.half)
     load = replace(pressed.load, activations={"strap": 0.92})
     place = pressed.parameters, pressed.pressure, load
-    residual = path._factorise(*place).residual
+    residual = problem.evaluate(*place).residual
+    path._factorise(pressed, load)
     exact = -path.solver.solve(residual)
-    path._factorise(*place, convex=True, damping=3e-3)
+    path._factorise(pressed, load, convex=True, damping=3e-3)
     rough = -path.solver.solve(residual)
     problem.evaluate(*place, tangent=True)
     better = path._conjugate(residual)
     assert problem.size(rough - exact) > 0.1 * problem.size(exact)
     assert problem.size(better - exact) < 0.03 * problem.size(exact)
+
+
+def test_contacts_that_cannot_be_pressed_apart_are_told(face, monkeypatch):
+    def stuck(*_):
+        raise SolveError("stuck")
+
+    monkeypatch.setattr(face.half, "augment", stuck)
+    path = Continuation(face.half, settings=Settings(penetration=0.02))
+    statistics = path.run(face.half.load({"strap": 0.9})).statistics
+    assert statistics.converged and not statistics.pressed
+    assert "could not be pressed farther apart" in statistics.doubts[0]
 
 
 def test_offsets_of_no_contact_are_refused(face, pressed):

@@ -59,7 +59,10 @@ def test_force_and_tangent_match_finite_differences(gap, flanked):
         direction = rng.normal(size=problem.n_unknowns)
         h = 1e-6
         ahead, behind = (
-            problem.evaluate(*problem.add(state, direction, sign * h), Load()) for sign in (1, -1)
+            problem.evaluate(
+                *problem.add(state.parameters, state.pressure, sign * h * direction), Load()
+            )
+            for sign in (1, -1)
         )
         name = "surface contact"
         slope = (ahead.energy - behind.energy) / (2 * h)
@@ -244,7 +247,10 @@ def test_force_and_tangent_at_an_edge_match_finite_differences(shift):
     direction = np.random.default_rng(7).normal(size=problem.n_unknowns)
     h = 1e-6
     ahead, behind = (
-        problem.evaluate(*problem.add(state, direction, sign * h), Load()) for sign in (1, -1)
+        problem.evaluate(
+            *problem.add(state.parameters, state.pressure, sign * h * direction), Load()
+        )
+        for sign in (1, -1)
     )
     slope = (ahead.energy - behind.energy) / (2 * h)
     assert slope == pytest.approx(found.residual @ direction, rel=1e-5)

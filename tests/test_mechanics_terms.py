@@ -150,8 +150,8 @@ def test_residual_and_tangent_match_finite_differences(name):
     for _ in range(4):
         direction = rng.normal(size=p.n_unknowns)
         h = 1e-5
-        ahead = p.evaluate(*p.add(state, direction, h), LOAD)
-        behind = p.evaluate(*p.add(state, direction, -h), LOAD)
+        ahead = p.evaluate(*p.add(state.parameters, state.pressure, h * direction), LOAD)
+        behind = p.evaluate(*p.add(state.parameters, state.pressure, -h * direction), LOAD)
         slope = (ahead.energy - behind.energy) / (2 * h)
         assert slope == pytest.approx(found.residual @ direction, rel=2e-6, abs=1e-6)
         rate = (ahead.residual - behind.residual) / (2 * h)

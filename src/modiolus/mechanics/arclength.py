@@ -157,8 +157,7 @@ class _Path:
         return -self.solver.solve(more - less)
 
     def moved(self, at: _Place, change: Array, share: float) -> _Place:
-        state = replace(self.problem.rest(), parameters=at.parameters, pressure=at.pressure)
-        return _Place(*self.problem.add(state, change), at.share + share)
+        return _Place(*self.problem.add(at.parameters, at.pressure, change), at.share + share)
 
     def across(self, at: _Place, along: Array, stride: Stride) -> tuple[_Place, int] | None:
         """Return the place of the path in the plane across a direction, and the corrections."""

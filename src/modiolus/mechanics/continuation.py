@@ -10,7 +10,7 @@ with the factors at hand, to which each adds what it has taught (Broyden's metho
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -131,12 +131,86 @@ class Interrupted(KeyboardInterrupt):
 
 
 @dataclass(frozen=True)
+class _Goal:
+    """The equilibrium that is sought, and how finely.
+
+    Attributes
+    ----------
+    load : Load
+    tolerance : float
+        Of the last correction, see `Settings`.
+    overlap : float
+        Where contacts overlap by more than this (mm), `Settings.pressing` will do.
+    """
+
+    load: Load
+    tolerance: float
+    overlap: float = math.inf
+
+
+@dataclass(frozen=True)
 class _Iterate:
     """A point on the way to an equilibrium, and the terms evaluated there."""
 
     parameters: Array
     pressure: Array
     evaluation: Evaluation
+
+
+@dataclass(frozen=True)
+class _Correction:
+    """A correction that has been accepted.
+
+    Attributes
+    ----------
+    there : _Iterate
+        Where it leads.
+    size : float
+        Its own, before it was lengthened or shortened.
+    full : bool
+        Whether it was taken as it is.
+    following : (n,) array
+        The correction that would follow with the same factors.
+    after : float
+        The size of that.
+    """
+
+    there: _Iterate
+    size: float
+    full: bool
+    following: Array
+    after: float
+
+
+@dataclass
+class _Caution:
+    """What the corrections of a step have taught of its tangents.
+
+    Attributes
+    ----------
+    damping : float
+        Multiple of the first diagonal that is added.
+    wary : int
+        Iterations for which what is unstable is left out, wherever they are.
+    unstable : bool
+        Whether the exact tangent is: then its corrections come from the factors of another.
+    """
+
+    damping: float = 0.0
+    wary: int = 0
+    unstable: bool = False
+
+    def learn(self, found: _Correction, tolerance: float, patient: bool) -> None:
+        """Become more or less careful after a correction."""
+        self.wary = max(self.wary - 1, 0)
+        if found.after < tolerance:
+            # Whether they are as short as that only corrections without damping tell.
+            self.damping = 0.0
+        elif found.full or patient:
+            self.damping = 0.0 if self.damping < LEAST_DAMPING else 0.2 * self.damping
+        else:
+            # Contacts stand in the way of one correction after the other: slide round them.
+            self.damping = max(3.0 * self.damping, LEAST_DAMPING)
 
 
 class Continuation:
@@ -230,12 +304,12 @@ class Continuation:
         self._blamed = []
         reached, step, steps, fault = 0.0, self._first_step(load), 0, ""
 
-        def goal(target: float) -> tuple[Load, float, float]:
+        def goal(target: float) -> _Goal:
             if target < 1.0:
-                return start.towards(load, target), settings.passing, math.inf
+                return _Goal(start.towards(load, target), settings.passing)
             # What will be pressed apart need not be told so finely.
             limit = settings.penetration if settings.augmentations else math.inf
-            return load, settings.tolerance, limit
+            return _Goal(load, settings.tolerance, limit)
 
         while reached < 1.0:
             target = min(1.0, reached + step)
@@ -244,7 +318,7 @@ class Continuation:
             before = self._factorisations
             steps += 1
             try:
-                state = self._advance(*goal(target))
+                state = self._advance(goal(target))
             except SolveError as error:
                 step = 0.3 * (target - reached)
                 self._at_hand = False
@@ -255,10 +329,9 @@ class Continuation:
                 try:
                     if steps >= settings.max_steps or self._jumps >= settings.max_jumps:
                         raise
-                    state = self._relax(*goal(target))
+                    state = self._relax(goal(target))
                 except SolveError:
-                    text = self._account(load, reached, fault, steps)
-                    raise LoadNotReached(text, reached, self._told()) from None
+                    raise self._stopped(load, reached, fault, steps) from None
                 self._jumps += 1
             work = max(self._factorisations - before, 1)
             step = (target - reached) * float(np.clip(EASY / work, *CHANGE))
@@ -266,8 +339,7 @@ class Continuation:
             self._keep(state, steps, began)
             if reached < 1.0 and steps >= settings.max_steps:
                 fault = f"the last step that failed: {fault}" if fault else "no step failed"
-                text = self._account(load, reached, fault, steps)
-                raise LoadNotReached(text, reached, self._told())
+                raise self._stopped(load, reached, fault, steps)
             if self.report is not None:
                 statistics = self.state.statistics
                 self.report(reached, f"J {statistics.J_min:.2f} to {statistics.J_max:.2f}")
@@ -277,7 +349,8 @@ class Continuation:
     def _press(self, steps: int, began: float, kept: bool) -> None:
         """Press contacts apart as long as they overlap (Uzawa's method).
 
-        Where they are pressed as they were in an earlier state, once at least.
+        Where they are pressed as they were in an earlier state, once at least. Where a correction
+        fails the last state remains, an equilibrium all the same, and its statistics tell so.
         """
         settings = self.settings
         try:
@@ -289,13 +362,16 @@ class Continuation:
                     overlap = self.problem.overlap(self.state.parameters, self.state.load)
                     self.report(1.0, f"pressing apart what overlaps by {overlap:.2f} mm")
                 pressed = self.problem.augment(self.state.parameters, self.state.load)
-                state = self._advance(pressed, settings.tolerance, settings.penetration)
-                self._keep(state, steps, began)
+                goal = _Goal(pressed, settings.tolerance, settings.penetration)
+                self._keep(self._advance(goal), steps, began)
             if self.state.statistics.correction_mm > settings.tolerance:
-                self._keep(self._advance(self.state.load, settings.tolerance), steps, began)
+                goal = _Goal(self.state.load, settings.tolerance)
+                self._keep(self._advance(goal), steps, began)
         except SolveError:
-            # The overlap of the penalty remains, and is told, as is the last correction.
             self._at_hand = False
+            told = self._told().statistics
+            apart = told.max_penetration_mm <= settings.penetration
+            self.state = replace(self.state, statistics=replace(told, pressed=apart))
 
     def _first_step(self, load: Load) -> float:
         """Return the first step: small at rest, and from a known state by what changes."""
@@ -369,7 +445,7 @@ class Continuation:
             In mm.
         """
         problem, state = self.problem, self.state
-        self._factorise(state.parameters, state.pressure, state.load)
+        self._factorise(state, state.load)
         equations = problem.assembly.equations
         out = np.zeros((*equations.shape, slopes.shape[1]))
         if held is not None:
@@ -384,17 +460,11 @@ class Continuation:
         return out
 
     def _factorise(
-        self,
-        parameters: Array,
-        pressure: Array,
-        load: Load,
-        *,
-        convex: bool = False,
-        damping: float = 0.0,
-    ) -> Evaluation:
-        evaluation = self.problem.evaluate(parameters, pressure, load, tangent=True, convex=convex)
+        self, here: State | _Iterate, load: Load, *, convex: bool = False, damping: float = 0.0
+    ) -> None:
+        """Factorise the tangent at a point, or one without what can make it unstable."""
+        self.problem.evaluate(here.parameters, here.pressure, load, tangent=True, convex=convex)
         self._refactorise(damping)
-        return evaluation
 
     def _refactorise(self, damping: float) -> None:
         """Factorise the element tangents at hand, with a multiple of the first diagonal added."""
@@ -437,14 +507,18 @@ class Continuation:
         found = self.solver.negative_pivots
         return 0 if found is None else found - self.problem.assembly.n_pressures
 
-    def _trial(self, here: _Iterate, change: Array, factor: float, load: Load) -> _Iterate | None:
+    def _evaluate(self, parameters: Array, pressure: Array, load: Load) -> _Iterate:
+        return _Iterate(parameters, pressure, self.problem.evaluate(parameters, pressure, load))
+
+    def _trial(
+        self, here: State | _Iterate, change: Array, factor: float, load: Load
+    ) -> _Iterate | None:
         """Return where a change leads to, None where it would crush the tissue."""
-        current = replace(self.state, parameters=here.parameters, pressure=here.pressure)
-        parameters, pressure = self.problem.add(current, change, factor)
-        evaluation = self.problem.evaluate(parameters, pressure, load)
-        if not evaluation.volume_ratio.min() > self.settings.least_ratio:
+        moved = self.problem.add(here.parameters, here.pressure, factor * change)
+        there = self._evaluate(*moved, load)
+        if not there.evaluation.volume_ratio.min() > self.settings.least_ratio:
             return None
-        return _Iterate(parameters, pressure, evaluation)
+        return there
 
     def _held(self, load: Load) -> Array:
         """Return how far a load moves the fixed parameters from the last state, (n_params, 3)."""
@@ -452,15 +526,18 @@ class Continuation:
         held[~self.problem.fixed] = 0.0
         return held
 
-    def _onset(self, load: Load, still: Array) -> Array:
+    def _onset(self, load: Load) -> Array:
         """Return the forces on the last state as a load begins to act, at the rate of its onset.
 
         A body that moves as far as the step would go into tissue that does not yet follow, or
-        leave it. ``still`` are the forces before.
+        leave it.
         """
         state = self.state
-        begun = state.load.towards(load, ONSET)
-        pushed = self.problem.evaluate(state.parameters, state.pressure, begun).residual
+
+        def forces(at: Load) -> Array:
+            return self.problem.evaluate(state.parameters, state.pressure, at).residual
+
+        still, pushed = forces(state.load), forces(state.load.towards(load, ONSET))
         return np.asarray(still + (pushed - still) / ONSET)
 
     def _predict(self, load: Load) -> _Iterate:
@@ -469,167 +546,140 @@ class Continuation:
         The factors at hand will do: they stem from a point within a correction or two of the
         last state.
         """
-        problem, state = self.problem, self.state
-        held = self._held(load)
-        moved, right = state.parameters + held, None
-        if not self._at_hand or held.any():
-            still = self._factorise(state.parameters, state.pressure, state.load).residual
-            if held.any():
-                right = self._onset(load, still) + problem.assembly.multiply(held)
-        here = _Iterate(moved, state.pressure, problem.evaluate(moved, state.pressure, load))
-        if right is None:
-            right = here.evaluation.residual
+        state, held = self.state, self._held(load)
+        if held.any() or not self._at_hand:
+            self._factorise(state, state.load)
+        moved = replace(state, parameters=state.parameters + held)
+        if held.any():
+            right = self._onset(load) + self.problem.assembly.multiply(held)
+        else:
+            right = self.problem.evaluate(state.parameters, state.pressure, load).residual
         change = -self.solver.solve(right)
         factor = 1.0
         while factor > 0.1:
-            there = self._trial(here, change, factor, load)
+            there = self._trial(moved, change, factor, load)
             if there is not None:
                 return there
             factor *= 0.5
         # Near a limit point the tangent leads nowhere; the corrections begin at rest.
-        return here
+        return self._evaluate(moved.parameters, moved.pressure, load)
 
-    def _advance(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:
-        """Predict and correct the equilibrium at ``load``, or reject the step."""
-        return self._correct(self._predict(load), load, tolerance, overlap)
+    def _advance(self, goal: _Goal) -> State:
+        """Predict and correct an equilibrium, or reject the step."""
+        return self._correct(self._predict(goal.load), goal)
 
-    def _correct(
-        self, here: _Iterate, load: Load, tolerance: float, overlap: float = math.inf
-    ) -> State:
-        """Return the equilibrium at ``load`` that is near a point, or reject the step.
+    def _correct(self, here: _Iterate, goal: _Goal) -> State:
+        """Return the equilibrium that is near a point, or reject the step.
 
-        Where contacts overlap by more than ``overlap`` (mm), `Settings.pressing` will do.
+        The factors at hand correct as long as they serve; where they no longer do, new ones.
         """
-        settings = self.settings
-
-        def enough(change: Array, there: _Iterate) -> bool:
-            size = max(self.problem.size(change), self._lag(change, there))
-            if size >= settings.pressing:
-                return size < tolerance
-            return size < tolerance or self.problem.overlap(there.parameters, load) > overlap
-
+        settings, tolerance = self.settings, goal.tolerance
+        caution = _Caution()
         change = -self.solver.solve(here.evaluation.residual)
-        here, size, settled = self._settle(here, change, load, enough)
-        damping = 0.0
-        wary = 0
-        # Whether the exact tangent was unstable: its corrections come from the factors of another.
-        unstable = False
-        if settled:
-            return self._converged(here, load, size)
-        for done in range(settings.max_iterations):
-            convex = wary > 0 or size > settings.near
-            if unstable and not convex:
-                evaluation = self.problem.evaluate(
-                    here.parameters, here.pressure, load, tangent=True
-                )
-                change = self._conjugate(evaluation.residual)
-                size = self.problem.size(change)
-                self._iterations += 1
-                found = self._search(here, change, size, load, tolerance, True)
-                if found is None:
-                    unstable, wary = False, WARY
-                    continue
-            else:
-                evaluation = self._factorise(
-                    here.parameters, here.pressure, load, convex=convex, damping=damping
-                )
-                found = None
-            while found is None:
-                # A negative pivot too many means that the tissue would buckle away from
-                # here, an empty line search that the tangent leads astray.
-                if self._wrong_pivots() <= 0:
-                    change = -self.solver.solve(evaluation.residual)
-                    size = self.problem.size(change)
-                    self._iterations += 1
-                    far = wary > 0 or size > tolerance
-                    found = self._search(here, change, size, load, tolerance, far)
-                    if found is not None:
-                        break
-                if not convex:
-                    unstable, convex = self._wrong_pivots() > 0, True
-                    self._factorise(
-                        here.parameters, here.pressure, load, convex=True, damping=damping
-                    )
-                    unstable = unstable and size < settings.passing and self._wrong_pivots() <= 0
-                    if unstable:
-                        break
-                    wary = WARY
-                    continue
-                damping = max(10.0 * damping, FIRST_DAMPING)
-                if damping > MOST_DAMPING:
-                    raise self._fault("no damping makes the corrections descend", evaluation)
-                self._refactorise(damping)
+        here, size, settled = self._settle(here, change, goal)
+        done = 0
+        while not settled:
+            if done == settings.max_iterations:
+                raise self._fault(f"{done} iterations were not enough", here)
+            done += 1
+            found = None
+            if caution.wary == 0 and size <= settings.near:
+                found = self._exact(here, size, goal, caution)
+            exact = found is not None and caution.damping == 0.0
             if found is None:
-                continue
-            here, following, full = found
-            wary = max(wary - 1, 0)
-            after = self.problem.size(following)
-            # Where such corrections do not contract, the exact tangent may serve again.
-            unstable = unstable and (convex or after < GOOD * size)
-            exact = damping == 0.0 and not convex
-            if exact and size < tolerance and enough(following, here):
+                found = self._convex(here, goal, caution)
+            here, size = found.there, found.after
+            if exact and found.size < tolerance and self._enough(found.following, here, goal):
                 # Where contacts switch, corrections need not shrink any more.
-                return self._converged(here, load, max(size, after))
+                return self._converged(here, goal.load, max(found.size, size))
             # Corrections that are damped, or hardly shrink, are small far from equilibrium too.
-            if full and damping == 0.0 and after < (GOOD if after > tolerance else FAIR) * size:
-                here, size, settled = self._settle(here, following, load, enough)
-                if settled:
-                    return self._converged(here, load, size)
-            else:
-                size = after
-            if after < tolerance:
-                # Whether they are as short as that only corrections without damping tell.
-                damping = 0.0
-            elif full or done < settings.patience:
-                damping = 0.0 if damping < LEAST_DAMPING else 0.2 * damping
-            else:
-                # Contacts stand in the way of one correction after the other: slide round them.
-                damping = max(3.0 * damping, LEAST_DAMPING)
-        raise self._fault(f"{settings.max_iterations} iterations were not enough", evaluation)
+            contracts = size < (GOOD if size > tolerance else FAIR) * found.size
+            if found.full and caution.damping == 0.0 and contracts:
+                here, size, settled = self._settle(here, found.following, goal)
+            caution.learn(found, tolerance, done <= settings.patience)
+        return self._converged(here, goal.load, size)
 
-    def _relax(self, load: Load, tolerance: float, overlap: float = math.inf) -> State:
-        """Let the tissue flow from the last state to an equilibrium at ``load``, which may be far.
+    def _enough(self, change: Array, there: _Iterate, goal: _Goal) -> bool:
+        """Tell whether an equilibrium is as near as it has to be after a change."""
+        size = max(self.problem.size(change), self._lag(change, there))
+        if size < goal.tolerance:
+            return True
+        if size >= self.settings.pressing:
+            return False
+        return self.problem.overlap(there.parameters, goal.load) > goal.overlap
+
+    def _exact(
+        self, here: _Iterate, size: float, goal: _Goal, caution: _Caution
+    ) -> _Correction | None:
+        """Correct by the exact tangent, of which conjugate directions follow if it is unstable.
+
+        None, and caution, where it leads astray.
+        """
+        load, damping = goal.load, caution.damping
+        found = None
+        if not caution.unstable:
+            self._factorise(here, load, damping=damping)
+            found = self._newton(here, goal)
+            # A negative pivot too many means that the tissue would buckle away from here.
+            if self._wrong_pivots() > 0 and size < self.settings.passing:
+                self._factorise(here, load, convex=True, damping=damping)
+                caution.unstable = self._wrong_pivots() <= 0
+        if caution.unstable:
+            self.problem.evaluate(here.parameters, here.pressure, load, tangent=True)
+            change = self._conjugate(here.evaluation.residual)
+            found = self._search(here, change, goal, far=True)
+            # Where such corrections do not contract, the exact tangent may serve again.
+            caution.unstable = found is not None and found.after < GOOD * found.size
+        if found is None:
+            caution.wary = WARY
+        return found
+
+    def _convex(self, here: _Iterate, goal: _Goal, caution: _Caution) -> _Correction:
+        """Correct by a tangent without what can make it unstable, damped as far as it has to be."""
+        self._factorise(here, goal.load, convex=True, damping=caution.damping)
+        while (found := self._newton(here, goal, far=caution.wary > 0)) is None:
+            caution.damping = max(10.0 * caution.damping, FIRST_DAMPING)
+            if caution.damping > MOST_DAMPING:
+                raise self._fault("no damping makes the corrections descend", here)
+            self._refactorise(caution.damping)
+        return found
+
+    def _relax(self, goal: _Goal) -> State:
+        """Let the tissue flow from the last state to an equilibrium that may be far.
 
         Where the path ends or turns back there is no equilibrium nearby. The tissue moves as if
         in a viscous bath, by implicit steps in a time that does not matter: each adds a multiple
         of the first diagonal to a tangent without what is unstable. The multiple falls as long
         as the steps do not go astray; once they shrink without it Newton's method takes over.
         """
-        problem, settings = self.problem, self.settings
-        state = self.state
-        moved = state.parameters + self._held(load)
-        here = _Iterate(moved, state.pressure, problem.evaluate(moved, state.pressure, load))
+        state, load = self.state, goal.load
+        here = self._evaluate(state.parameters + self._held(load), state.pressure, load)
         viscosity = 1.0
-        for _ in range(settings.max_relaxations):
-            evaluation = self._factorise(
-                here.parameters, here.pressure, load, convex=True, damping=viscosity
-            )
-            found = None
-            while found is None:
-                if self._wrong_pivots() <= 0:
-                    change = -self.solver.solve(evaluation.residual)
-                    size = problem.size(change)
-                    found = self._search(here, change, size, load, tolerance, size > tolerance)
-                if found is None:
-                    viscosity *= 4.0
-                    if viscosity > MOST_VISCOSITY:
-                        raise self._fault("no viscosity keeps the tissue whole", evaluation)
-                    self._refactorise(viscosity)
-            self._iterations += 1
-            here, following, full = found
-            if viscosity < LEAST_DAMPING and full and problem.size(following) < 0.5 * size:
+        for _ in range(self.settings.max_relaxations):
+            self._factorise(here, load, convex=True, damping=viscosity)
+            while (found := self._newton(here, goal)) is None:
+                viscosity *= 4.0
+                if viscosity > MOST_VISCOSITY:
+                    raise self._fault("no viscosity keeps the tissue whole", here)
+                self._refactorise(viscosity)
+            here = found.there
+            if viscosity < LEAST_DAMPING and found.full and found.after < 0.5 * found.size:
                 break
             viscosity *= 0.3
         self._at_hand = False
-        return self._correct(here, load, tolerance, overlap)
+        return self._correct(here, goal)
 
-    def _settle(
-        self,
-        here: _Iterate,
-        change: Array,
-        load: Load,
-        enough: Callable[[Array, _Iterate], bool],
-    ) -> tuple[_Iterate, float, bool]:
+    def _newton(self, here: _Iterate, goal: _Goal, far: bool = False) -> _Correction | None:
+        """Correct with the factors at hand, which are of this point; None where they do not serve.
+
+        A negative pivot too many means that the tangent is unstable, an empty search that it leads
+        astray.
+        """
+        if self._wrong_pivots() > 0:
+            return None
+        return self._search(here, -self.solver.solve(here.evaluation.residual), goal, far=far)
+
+    def _settle(self, here: _Iterate, change: Array, goal: _Goal) -> tuple[_Iterate, float, bool]:
         """Correct with the factors at hand as long as the corrections shrink by half.
 
         Every correction adds what it has taught to the factors (Broyden's good update, in the
@@ -646,11 +696,11 @@ class Continuation:
         past = [change]
         size = self.problem.size(change)
         while True:
-            there = self._trial(here, past[-1], 1.0, load)
+            there = self._trial(here, past[-1], 1.0, goal.load)
             if there is None:
                 return here, size, False
             self._iterations += 1
-            if enough(past[-1], there):
+            if self._enough(past[-1], there, goal):
                 return there, size, True
             change = -self.solver.solve(there.evaluation.residual)
             for one, other in pairwise(past):
@@ -674,14 +724,8 @@ class Continuation:
         return self.problem.product(change, direction) / self.problem.product(direction, direction)
 
     def _search(
-        self,
-        here: _Iterate,
-        change: Array,
-        size: float,
-        load: Load,
-        tolerance: float,
-        far: bool,
-    ) -> tuple[_Iterate, Array, bool] | None:
+        self, here: _Iterate, change: Array, goal: _Goal, *, far: bool
+    ) -> _Correction | None:
         """Return the first trial along ``change`` that neither crushes nor diverges.
 
         The correction that would follow may be up to three times as long: with contacts
@@ -689,25 +733,20 @@ class Continuation:
         trial that goes far past the point where the forces do no work along the way is taken
         back to there: where contacts close and open, corrections would go to and fro for ever.
         One after which the forces still do half their work goes on, up to eight times as far,
-        where an equilibrium may be ``far``: where tissue gives way, every correction alone is far
-        too short.
-
-        Returns
-        -------
-        there : _Iterate
-        following : (n,) array
-            The correction that would follow.
-        full : bool
-            Whether ``change`` was taken as it is.
+        where an equilibrium may be ``far``, as it is above the tolerance: where tissue gives way,
+        every correction alone is far too short.
         """
 
         def work(at: _Iterate) -> float:
             return self.problem.work(at.evaluation.residual, change)
 
+        size = self.problem.size(change)
+        far = far or size > goal.tolerance
+        self._iterations += 1
         start = work(here)
         factor, shortened = 1.0, False
         while factor > 0.04:
-            there = self._trial(here, change, factor, load)
+            there = self._trial(here, change, factor, goal.load)
             if there is not None:
                 if start < 0.0 and work(there) > -0.5 * start and factor > 0.2:
                     factor *= max(start / (start - work(there)), 0.2)
@@ -716,13 +755,14 @@ class Continuation:
                 while far and not shortened and factor < 8.0:
                     if not work(there) < 0.5 * start < 0.0:
                         break
-                    farther = self._trial(here, change, 2.0 * factor, load)
+                    farther = self._trial(here, change, 2.0 * factor, goal.load)
                     if farther is None or work(farther) > -0.5 * start:
                         break
                     there, factor = farther, 2.0 * factor
                 following = -self.solver.solve(there.evaluation.residual)
-                if self.problem.size(following) <= max(3.0 * max(factor, 1.0) * size, tolerance):
-                    return there, following, factor == 1.0
+                after = self.problem.size(following)
+                if after <= max(3.0 * max(factor, 1.0) * size, goal.tolerance):
+                    return _Correction(there, size, factor == 1.0, following, after)
             factor, shortened = 0.5 * factor, True
         return None
 
@@ -743,9 +783,9 @@ class Continuation:
             statistics=statistics,
         )
 
-    def _fault(self, reason: str, evaluation: Evaluation) -> SolveError:
+    def _fault(self, reason: str, here: _Iterate) -> SolveError:
         """Return why a step is rejected, and where the tissue suffers most."""
-        problem = self.problem
+        problem, evaluation = self.problem, here.evaluation
         worst = int(np.argmin(evaluation.volume_ratio.min(axis=1)))
         parts = [
             reason,
@@ -765,8 +805,8 @@ class Continuation:
         self._blamed = there
         return SolveError("; ".join(parts))
 
-    def _account(self, load: Load, reached: float, fault: str, steps: int) -> str:
-        """Say how far the load went, why not farther and what to try."""
+    def _stopped(self, load: Load, reached: float, fault: str, steps: int) -> LoadNotReached:
+        """Return how far the load went, why not farther and what to try."""
         names = [name for name, value in load.activations.items() if value > 0.0]
         if load.jaw > 0.0:
             names.append(f"jaw open by {np.degrees(load.jaw):.3g}°")
@@ -778,12 +818,14 @@ class Continuation:
             advice.append("a smaller displacement")
         if steps >= self.settings.max_steps:
             advice.append(f"more than {steps} steps")
-        advice.append("a greater volumetric stiffness")
-        return (
+        kappa = self.problem.kappa
+        advice.append(f"a volumetric stiffness above {kappa:g} kPa (--set kappa=VALUE)")
+        text = (
             f"continuation: stopped at {reached:.1%} of the load "
             f"({_several(names) if names else 'the prescribed displacement'}) after {steps} "
             f"steps; {fault}; try {' or '.join(advice)}"
         )
+        return LoadNotReached(text, reached, self._told())
 
 
 def _several(names: Sequence[str]) -> str:

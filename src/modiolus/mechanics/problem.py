@@ -58,6 +58,9 @@ class Statistics:
     volume_change : float
         Of the whole tissue, relative to rest.
     max_penetration_mm : float
+    pressed : bool
+        False where contacts overlap more than they have to, since a correction failed as they were
+        pressed apart.
     wrong_pivots : int or None
         Negative pivots beyond the number of pressures in the last factorisation; not 0
         means that the state is not a stable equilibrium. None when the solver cannot tell.
@@ -74,6 +77,7 @@ class Statistics:
     J_max: float = 1.0
     volume_change: float = 0.0
     max_penetration_mm: float = 0.0
+    pressed: bool = True
     wrong_pivots: int | None = None
     jumps: int = 0
     correction_mm: float = 0.0
@@ -86,8 +90,10 @@ class Statistics:
     def doubts(self) -> tuple[str, ...]:
         """What a person should know before trusting a state, though it has converged."""
         found = []
-        if self.max_penetration_mm > OVERLAP:
-            found.append(f"parts that touch overlap by {self.max_penetration_mm:.1f} mm")
+        overlap = self.max_penetration_mm
+        if overlap > OVERLAP or not self.pressed:
+            rest = "" if self.pressed else ", and could not be pressed farther apart"
+            found.append(f"parts that touch overlap by {overlap:.2g} mm{rest}")
         if self.J_min < VOLUMES[0]:
             found.append(f"tissue is pressed to {self.J_min:.0%} of its volume at a point")
         if self.J_max > VOLUMES[1]:
@@ -454,13 +460,13 @@ class Problem:
         n = self.assembly.n_displacements
         return float(residual[:n] @ change[:n])
 
-    def add(self, state: State, change: Array, factor: float = 1.0) -> tuple[Array, Array]:
+    def add(self, parameters: Array, pressure: Array, change: Array) -> tuple[Array, Array]:
         """Return parameters and pressures after a change of the unknowns (n,)."""
-        parameters, pressure = state.parameters.copy(), state.pressure.copy()
+        parameters, pressure = parameters.copy(), pressure.copy()
         free = self.assembly.equations >= 0
-        parameters[free] += factor * change[self.assembly.equations[free]]
+        parameters[free] += change[self.assembly.equations[free]]
         active = self.assembly.pressure_equations >= 0
-        pressure[active] += factor * change[self.assembly.pressure_equations[active]]
+        pressure[active] += change[self.assembly.pressure_equations[active]]
         return parameters, pressure
 
     def evaluate(

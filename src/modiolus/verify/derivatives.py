@@ -145,7 +145,8 @@ def differences(
     for _ in range(3):
         direction = rng.normal(size=problem.n_unknowns)
         ahead, behind = (
-            problem.evaluate(*problem.add(rest, direction, h), LOAD) for h in (STEP, -STEP)
+            problem.evaluate(*problem.add(rest.parameters, rest.pressure, h * direction), LOAD)
+            for h in (STEP, -STEP)
         )
         slope = (ahead.energy - behind.energy) / (2.0 * STEP)
         gradient = max(gradient, abs(float(slope / (found.residual @ direction)) - 1.0))
