@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from modiolus.errors import InputError
-from modiolus.face.malar import thinned
 from modiolus.face.muscle import Muscle
 from modiolus.hermite import grid
 
@@ -76,18 +75,21 @@ def test_points_across_a_broad_muscle_are_no_farther_apart_than_elements_of_a_fa
             assert len(across) == count and np.diff(across).max() < 6.0
 
 
-def test_a_thinned_muscle_keeps_its_volume_and_fades_towards_its_borders():
+def test_a_fading_muscle_keeps_its_volume_and_fades_towards_its_borders():
     muscle = beam(counts=(4, 2, 1))
     rule = muscle.quadrature((4, 8, 2))
-    thin = thinned(muscle, rule)
-    assert_array_equal(thin.points, rule.points)
-    assert thin.weights.sum() == pytest.approx(rule.weights.sum())
-    share = thin.weights / rule.weights
+    assert muscle.faded(rule) is rule
+    faded = replace(muscle, fading=0.5).faded(rule)
+    assert_array_equal(faded.points, rule.points)
+    assert faded.weights.sum() == pytest.approx(rule.weights.sum())
+    share = faded.weights / rule.weights
     x, y = rule.points[:, 0] / 30.0, rule.points[:, 1] / 6.0
     middle = abs(y - 0.5) < 0.2
     assert share[middle & (x < 0.5)].min() > 1.2
     assert share[(y < 0.05) | (y > 0.95)].max() < 0.1
     assert share[x > 0.98].max() < 0.1
+    with pytest.raises(InputError, match="share of the length"):
+        replace(muscle, fading=1.2)
 
 
 def test_a_gliding_muscle_stretches_by_what_its_bound_part_moves():
@@ -163,9 +165,10 @@ def test_mirrored_keeps_its_volume_and_turns_its_fibres():
 
 
 def test_muscle_survives_its_arrays():
-    muscle = Muscle("beam", beam().mesh, "sheet", np.full((24, 3), 0.1), 1.2, 0.7, 0.2)
+    muscle = Muscle("beam", beam().mesh, "sheet", np.full((24, 3), 0.1), 1.2, 0.7, 0.2, 0.5)
     again = Muscle.from_arrays("beam", muscle.arrays())
-    assert (again.kind, again.slack, again.glide, again.loose) == ("sheet", 1.2, 0.7, 0.2)
+    assert (again.kind, again.slack) == ("sheet", 1.2)
+    assert (again.glide, again.loose, again.fading) == (0.7, 0.2, 0.5)
     assert_array_equal(again.mesh.parameters, muscle.mesh.parameters)
     assert_array_equal(again.corners, muscle.corners)
     assert_array_equal(again.angles, muscle.angles)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..hermite import HermiteMesh, grid
-from ..hermite.basis import Array, smooth_step
+from ..hermite.basis import Array
 from .embed import SLACK
-from .muscle import Muscle, MusclePoints
+from .muscle import Muscle
 from .template import COLUMNS
 
-__all__ = ["MALAR", "below", "malar_part", "thinned"]
+__all__ = ["MALAR", "below", "malar_part"]
 
 MALAR = "orbicularis_oculi_malar"
 
@@ -32,7 +32,8 @@ _DEPTH, _THICKNESS = 2.5, 1.0
 #: Elements along and across.
 _COUNTS = (4, 2)
 #: Share of the length from which on fewer and fewer fibres go on: they end in the skin all along.
-_ENDING = 0.5
+#: Its bands are loose, and with an edge as thick as its middle it would fold the cheek there.
+_FADING = 0.5
 
 
 def malar_part(tissue: HermiteMesh) -> Muscle:
@@ -43,20 +44,7 @@ def malar_part(tissue: HermiteMesh) -> Muscle:
     places = (1.0 - across)[:, None] * sides[:, None, 0] + across[:, None] * sides[:, None, 1]
     layers = [_DEPTH + 0.5 * _THICKNESS, _DEPTH - 0.5 * _THICKNESS]
     nodes = np.stack([below(tissue, places, depth) for depth in layers], axis=2)
-    return Muscle(MALAR, grid(nodes), "strap", slack=SLACK)
-
-
-def thinned(muscle: Muscle, rule: MusclePoints) -> MusclePoints:
-    """Return points whose weights fade towards both sides and the lower end; their sum stays.
-
-    Its bands are loose, and with an edge as thick as its middle it would fold the cheek there.
-    """
-    row = muscle.rows()[0]
-    across = (row[rule.elements] + rule.xi[:, 1]) / (row.max() + 1)
-    late = (muscle.along(rule)[0] - _ENDING) / (1.0 - _ENDING)
-    share = np.sin(np.pi * across) ** 2 * smooth_step(1.0 - late)
-    weights = rule.weights * share
-    return rule._replace(weights=weights * (rule.weights.sum() / weights.sum()))
+    return Muscle(MALAR, grid(nodes), "strap", slack=SLACK, fading=_FADING)
 
 
 def below(tissue: HermiteMesh, places: ArrayLike, depth: float) -> Array:

@@ -16,7 +16,6 @@ from ..face.embed import CELL, cell_points
 from ..face.expression import Expression, resolve
 from ..face.head import Head
 from ..face.jaw import FOLLOWERS, WIDEST, Jaw, opening
-from ..face.malar import MALAR, thinned
 from ..face.refine import at_gauss
 from ..hermite import Side, symmetry_plane, trapezoidal
 from ..progress import Report
@@ -480,10 +479,8 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
     half = source.half or source
     moving: list[FibreQuadrature] = []
     gliding: list[GlidingQuadrature] = []
-    rules = [muscle.quadrature((4, muscle.across(), 2)) for muscle in half.muscles.values()]
     rules = [
-        thinned(muscle, rule) if name == MALAR else rule
-        for (name, muscle), rule in zip(half.muscles.items(), rules, strict=True)
+        muscle.faded(muscle.quadrature((4, muscle.across(), 2))) for muscle in half.muscles.values()
     ]
     place = half.tissue.locate(np.concatenate([rule.points for rule in rules]))
     ends = np.cumsum([len(rule.points) for rule in rules])
