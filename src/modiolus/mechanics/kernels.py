@@ -801,9 +801,12 @@ def evaluate(parameters: Any, params: Any, starts: Any, functions: Any) -> Any:
 
 @njit(cache=True)
 def _add_force(e: Any, m: Any, starts: Any, functions: Any, forces: Any, residual: Any) -> None:
+    first, last = starts[e], starts[e + 1]
+    if first == last:
+        return
     width = forces.shape[1]
     force = np.zeros((3, m))
-    for row in range(starts[e], starts[e + 1]):
+    for row in range(first, last):
         f = forces[row // width, row % width]
         if f[0] == 0.0 and f[1] == 0.0 and f[2] == 0.0:
             continue
@@ -831,12 +834,10 @@ def add_forces(counts: Any, starts: Any, functions: Any, forces: Any, residual: 
     """
     if len(functions) < FEW:
         for e in range(len(counts)):
-            if starts[e] < starts[e + 1]:
-                _add_force(e, counts[e], starts, functions, forces, residual)
+            _add_force(e, counts[e], starts, functions, forces, residual)
     else:
         for e in prange(len(counts)):
-            if starts[e] < starts[e + 1]:
-                _add_force(e, counts[e], starts, functions, forces, residual)
+            _add_force(e, counts[e], starts, functions, forces, residual)
 
 
 @njit(cache=True, parallel=True)
