@@ -492,58 +492,65 @@ class Problem:
         convex : bool
             Whether the tangent leaves out what can make contacts and fibres unstable.
         """
-        base = self.assembly.groups[0]
         self.assembly.clear(tangents=tangent)
-        volume_ratio = np.empty(self.weights.shape)
-        energies = {
-            "tissue": float(
-                kernels.bulk(
-                    parameters,
-                    pressure,
-                    base.pattern.params,
-                    base.pattern.vertices,
-                    self._gradients,
-                    self._psi,
-                    self.weights,
-                    self._law,
-                    self._coefficients,
-                    int(self.formulation.volume),
-                    self.kappa,
-                    tangent,
-                    base.residual,
-                    base.tangent,
-                    base.coupling,
-                    base.pressure_residual,
-                    volume_ratio,
-                )
-            )
-        }
+        energy, volume_ratio = self._tissue(parameters, pressure, tangent)
+        energies = {"tissue": energy}
         for batch in self._batches:
-            group, width = self.assembly.groups[batch.group], batch.width
-            functions, starts = batch.place(parameters, load)
-            for term, _ in batch.members:
-                energies.setdefault(term.name, 0.0)
-            if not len(functions):
-                continue
-            vectors = kernels.evaluate(parameters, group.pattern.params, starts, functions)
-            vectors = vectors.reshape(-1, width, 3)
-            forces = np.empty(vectors.shape)
-            stiffness = np.empty((len(vectors) if tangent else 0, 6, width, width))
-            for term, points in batch.members:
-                answer = term.respond(
-                    vectors[points] if width > 1 else vectors[points, 0], load, convex
-                )
-                energies[term.name] += float(answer.energies.sum())
-                forces[points] = answer.forces.reshape(-1, width, 3)
-                if tangent:
-                    stiffness[points] = answer.stiffness().reshape(-1, 6, width, width)
-            counts, group.acts = group.pattern.counts, True
-            kernels.add_forces(counts, starts, functions, forces, group.residual)
-            if tangent:
-                kernels.add_stiffness(
-                    counts, starts, functions, stiffness, group.tangent, group.stiff
-                )
+            for name, energy in self._at_points(batch, parameters, load, tangent, convex):
+                energies[name] = energies.get(name, 0.0) + energy
         return Evaluation(energies, self.assembly.residual(), volume_ratio)
+
+    def _tissue(self, parameters: Array, pressure: Array, tangent: bool) -> tuple[float, Array]:
+        """Fill the element arrays of the passive tissue; return its energy and ``J``."""
+        base = self.assembly.groups[0]
+        volume_ratio = np.empty(self.weights.shape)
+        energy = kernels.bulk(
+            parameters,
+            pressure,
+            base.pattern.params,
+            base.pattern.vertices,
+            self._gradients,
+            self._psi,
+            self.weights,
+            self._law,
+            self._coefficients,
+            int(self.formulation.volume),
+            self.kappa,
+            tangent,
+            base.residual,
+            base.tangent,
+            base.coupling,
+            base.pressure_residual,
+            volume_ratio,
+        )
+        return float(energy), volume_ratio
+
+    def _at_points(
+        self, batch: _Batch, parameters: Array, load: Load, tangent: bool, convex: bool
+    ) -> list[tuple[str, float]]:
+        """Add what terms answer to the element arrays; return their names and energies."""
+        group, width = self.assembly.groups[batch.group], batch.width
+        functions, starts = batch.place(parameters, load)
+        if not len(functions):
+            return [(term.name, 0.0) for term, _ in batch.members]
+        vectors = kernels.evaluate(parameters, group.pattern.params, starts, functions)
+        vectors = vectors.reshape(-1, width, 3)
+        forces = np.empty(vectors.shape)
+        stiffness = np.empty((len(vectors) if tangent else 0, 6, width, width))
+        energies = []
+        for term, points in batch.members:
+            answer = term.respond(
+                vectors[points] if width > 1 else vectors[points, 0], load, convex
+            )
+            energies.append((term.name, float(answer.energies.sum())))
+            forces[points] = answer.forces.reshape(-1, width, 3)
+            if tangent:
+                stiffness[points] = answer.stiffness().reshape(-1, 6, width, width)
+        counts, group.acts = group.pattern.counts, True
+        kernels.add_forces(counts, starts, functions, forces, group.residual)
+        if tangent:
+            kernels.add_stiffness(counts, starts, functions, stiffness, group.tangent, group.stiff)
+        return energies
 
     def tangent(self, extra: Array | None = None) -> sp.csr_matrix:
         """Return the upper triangle of the tangent of the last evaluation that renewed it.
