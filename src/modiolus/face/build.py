@@ -19,6 +19,7 @@ from .embed import (
     LID_SHIFT,
     bring_inside,
     fasciae,
+    in_life,
     insertions,
     inside_fraction,
     ligaments,
@@ -98,7 +99,7 @@ def build_head(
     tell(0.75, "muscles into the tissue")
     lids = "orbicularis_oculi_palpebral"
     lain = {**fitted, lids: move_lids(fitted[lids])}
-    lain = {key: bring_inside(m, tissue.mesh, NECK_CUT) for key, m in lain.items()}
+    lain = {key: in_life(bring_inside(m, tissue.mesh, NECK_CUT)) for key, m in lain.items()}
     muscles = {
         **lain,
         LEVATOR: to_modiolus(lain[LEVATOR], tissue.mesh),

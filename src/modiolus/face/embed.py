@@ -100,6 +100,15 @@ def boundary_surface(mesh: HermiteMesh, side: Side, divisions: int = 6) -> Surfa
 #: and lids stand in front of the skin.
 LID_SHIFT = 3.0
 
+
+def in_life(muscle: Muscle) -> Muscle:
+    """Return a muscle with the slack that it has at rest, and gliding as far as it does."""
+    name = muscle.name
+    glide = GLIDE if name in INSERTIONS and name not in SUPERFICIAL else 0.0
+    loose = 1.0 - glide if name in LOOSE else 0.0
+    return replace(muscle, slack=TAUT.get(name, SLACK), glide=glide, loose=loose)
+
+
 #: Columns through a muscle's thickness that are moved: across, along and through an element.
 _COLUMNS = (5, 5, 3)
 #: Widths (mm) of the means by which neighbours move along, in turn; and steps with each.
@@ -136,15 +145,7 @@ def bring_inside(muscle: Muscle, tissue: HermiteMesh, above: float = -np.inf) ->
         moved = _flow(muscle.mesh, tissue, above, back)
         if moved.scaled_jacobian(*_samples(moved)).min() > _LEAST_JACOBIAN:
             break
-    glide = GLIDE if muscle.name in INSERTIONS and muscle.name not in SUPERFICIAL else 0.0
-    loose = 1.0 - glide if muscle.name in LOOSE else 0.0
-    return replace(
-        muscle,
-        mesh=moved,
-        slack=TAUT.get(muscle.name, SLACK),
-        glide=glide,
-        loose=loose,
-    )
+    return replace(muscle, mesh=moved)
 
 
 def _samples(mesh: HermiteMesh) -> tuple[NDArray[np.int64], Array]:

@@ -104,7 +104,7 @@ def _kept_inside(head: Head, morphed: Head) -> dict[str, Muscle]:
     out = dict(morphed.muscles)
     for name, muscle in morphed.muscles.items():
         if before[name] - now[name] > _LOST:
-            back = replace(bring_inside(muscle, morphed.tissue, cut), slack=muscle.slack)
+            back = bring_inside(muscle, morphed.tissue, cut)
             if least_volume(back) > 0.0:
                 out[name] = back
     return out
