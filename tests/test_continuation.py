@@ -186,11 +186,14 @@ def test_a_study_compares_with_its_default(block_head):
     for row in others:
         assert row["converged"] and 0.0 <= row["rms_change_mm"] <= row["max_change_mm"]
         by_kind.setdefault(row["kind"], []).append(row["rms_change_mm"])
-    assert set(by_kind) == {"step", "quadrature", "kappa", "contact", "mesh"}
+    assert set(by_kind) == {"step", "quadrature", "kappa", "contact", "layers"}
     # The way to a state leaves less in it than the mesh.
-    assert by_kind["step"][0] < 2e-3 < by_kind["mesh"][0]
-    total = by_kind["step"][0] + by_kind["quadrature"][0] + by_kind["mesh"][0]
+    assert by_kind["step"][0] < 2e-3 < by_kind["layers"][0]
+    total = by_kind["step"][0] + by_kind["quadrature"][0] + by_kind["layers"][0]
     assert discretisation_error(rows) == pytest.approx(total)
+    # Of two refinements along the face the one that changes more counts.
+    finer = [{**rows[-1], "kind": "mesh", "rms_change_mm": change} for change in (0.3, 0.4)]
+    assert discretisation_error([*rows, *finer]) == pytest.approx(total + 0.4)
     json.dumps(rows, allow_nan=False)
 
 
