@@ -191,7 +191,7 @@ class _Caution:
     damping : float
         Multiple of the first diagonal that is added.
     wary : int
-        Iterations for which what is unstable is left out, wherever they are.
+        Iterations for which what can be unstable is left out, near equilibrium, too.
     unstable : bool
         Whether the exact tangent is: then its corrections come from the factors of another.
     """
@@ -582,12 +582,17 @@ class Continuation:
             if done == settings.max_iterations:
                 raise self._fault(f"{done} iterations were not enough", here)
             done += 1
-            found = None
-            if caution.wary == 0 and size <= settings.near:
-                found = self._exact(here, size, goal, caution)
-            exact = found is not None and caution.damping == 0.0
-            if found is None:
+            near = size <= settings.near
+            found: _Correction | None
+            if caution.wary > 0 or not near:
                 found = self._convex(here, goal, caution)
+            elif caution.unstable:
+                found = self._unstable(here, goal, caution)
+            else:
+                found = self._exact(here, size, goal, caution)
+            if found is None:
+                continue
+            exact = near and caution.wary == 0 and caution.damping == 0.0
             here, size = found.there, found.after
             if exact and found.size < tolerance and self._enough(found.following, here, goal):
                 # Where contacts switch, corrections need not shrink any more.
@@ -611,32 +616,42 @@ class Continuation:
     def _exact(
         self, here: _Iterate, size: float, goal: _Goal, caution: _Caution
     ) -> _Correction | None:
-        """Correct by the exact tangent, of which conjugate directions follow if it is unstable.
+        """Correct by the exact tangent, or else by the convex one.
 
-        None, and caution, where it leads astray.
+        None where the exact tangent is unstable and the convex one is not: its factors remain.
         """
-        load, damping = goal.load, caution.damping
-        found = None
-        if not caution.unstable:
-            self._factorise(here, load, damping=damping)
-            found = self._newton(here, goal)
-            # A negative pivot too many means that the tissue would buckle away from here.
-            if self._wrong_pivots() > 0 and size < self.settings.passing:
-                self._factorise(here, load, convex=True, damping=damping)
-                caution.unstable = self._wrong_pivots() <= 0
+        self._factorise(here, goal.load, damping=caution.damping)
+        found = self._newton(here, goal)
+        if found is not None:
+            return found
+        # A negative pivot too many means that the tissue would buckle away from here.
+        buckles = self._wrong_pivots() > 0
+        self._factorise(here, goal.load, convex=True, damping=caution.damping)
+        stable = self._wrong_pivots() <= 0
+        caution.unstable = buckles and stable and size < self.settings.passing
         if caution.unstable:
-            self.problem.evaluate(here.parameters, here.pressure, load, tangent=True)
-            change = self._conjugate(here.evaluation.residual)
-            found = self._search(here, change, goal, far=True)
-            # Where such corrections do not contract, the exact tangent may serve again.
-            caution.unstable = found is not None and found.after < GOOD * found.size
+            return None
+        caution.wary = WARY
+        return self._damped(here, goal, caution)
+
+    def _unstable(self, here: _Iterate, goal: _Goal, caution: _Caution) -> _Correction | None:
+        """Correct by an unstable tangent with stable factors; None where that leads astray."""
+        self.problem.evaluate(here.parameters, here.pressure, goal.load, tangent=True)
+        change = self._conjugate(here.evaluation.residual)
+        found = self._search(here, change, goal, far=True)
+        # Where such corrections do not contract, the exact tangent may serve again.
+        caution.unstable = found is not None and found.after < GOOD * found.size
         if found is None:
             caution.wary = WARY
         return found
 
     def _convex(self, here: _Iterate, goal: _Goal, caution: _Caution) -> _Correction:
-        """Correct by a tangent without what can make it unstable, damped as far as it has to be."""
+        """Correct by a tangent without what can make it unstable."""
         self._factorise(here, goal.load, convex=True, damping=caution.damping)
+        return self._damped(here, goal, caution)
+
+    def _damped(self, here: _Iterate, goal: _Goal, caution: _Caution) -> _Correction:
+        """Correct with the factors at hand, or as far damped as it takes."""
         while (found := self._newton(here, goal, far=caution.wary > 0)) is None:
             caution.damping = max(10.0 * caution.damping, FIRST_DAMPING)
             if caution.damping > MOST_DAMPING:

@@ -1,7 +1,7 @@
 """Constitutive laws: the passive tissue and the muscle fibres.
 
-Energies are per reference volume in kPa (= mN mm / mm³). Everything that a kernel needs
-is a small compiled function here, so that the equations stand in one place.
+Energies are per reference volume in kPa (= mN mm / mm³). What stands here are their parameters; the
+compiled functions that evaluate them are in `kernels`.
 """
 
 from __future__ import annotations
