@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +21,6 @@ from modiolus.progress import Progress
 if TYPE_CHECKING:
     from modiolus.face.head import Head
     from modiolus.scans.compare import Comparison
-    from modiolus.scans.identify import Identification
     from modiolus.scans.scan import Scan
     from modiolus.scans.skin import Skin
 
@@ -199,7 +197,6 @@ class _Table:
         self.draft, self.target, self.quiet = draft, target, quiet
         self.face, self.scene = Face(head), FaceScene(head)
         self.rows: list[dict[str, Any]] = []
-        self._found: dict[str, Identification] = {}
         self._pictures: list[tuple[str, Path]] = []
 
     def add(self, name: str, scan: Scan, way: str) -> None:
@@ -231,11 +228,10 @@ class _Table:
         """Return comparison, parameters, angle of the jaw, and further figures of a row."""
         from modiolus.face.expression import Expression, resolve
         from modiolus.face.jaw import opening
-        from modiolus.fitting.register import Registration
         from modiolus.scans.compare import compare
-        from modiolus.scans.identify import identify, settle
+        from modiolus.scans.identify import identify
         from modiolus.scans.target import ScanTarget
-        from modiolus.scans.unknown import JAW, TABLE_2, unknowns
+        from modiolus.scans.unknown import TABLE_2, unknowns
 
         if way == "hand":
             expression = Expression.shipped(name)
@@ -247,22 +243,8 @@ class _Table:
         known = [name] if name in TABLE_2 else []
         free = unknowns(self.head, known if way == "table2" else None, known, self.further)
         target = ScanTarget(self.skin, scan, self.neutral)
-        starts = [self._found.get(name) if way == "all" else None]
-        if way == "all" and known:
-            # All muscles begin where those of the paper have come to, and at what is shipped: a
-            # lip that slips off the teeth on one way may not on the other.
-            shipped = Expression.shipped(name)
-            begun = resolve(shipped.activations, self.head.muscles)
-            begun[JAW] = opening(shipped.jaw_open)
-            given = np.array([begun.get(item.name, item.usual) for item in free])
-            with contextlib.suppress(SolveError):
-                starts.append(settle(self.face, target, free, given, Registration()))
-        results = [
-            identify(self.face, target, free, start=start, report=progress.update)
-            for start in starts
-        ]
-        result = min(results, key=lambda item: item.history[-1])
-        self._found[name] = result
+        # All from rest: the muscles of the paper alone may have come to where there is no way on.
+        result = identify(self.face, target, free, report=progress.update)
         placed = scan.placed(result.pose)
         found = compare(self.skin, result.state.parameters, placed, self.neutral)
         text = expression_toml(f"{name}-{way}", scan.name, result)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,25 +41,29 @@ ALPHA, BETA = 1.0, 0.2
 #: First and largest change of the unknowns in an iteration, in units of their scales.
 _FIRST_STEP, _LARGEST_STEP = 0.35, 0.6
 #: The iterations end when no unknown changes by more than the first (of its scale) and the pose by
-#: no more than the second (mm), or the error falls by less than the third of what it scatters.
+#: no more than the second (mm), or the error falls, or is expected to, by less than the third of
+#: what it scatters.
 _SMALL_STEP, _SMALL_SHIFT, _SMALL_GAIN = 0.003, 0.01, 0.03
 #: Solves from a state nearby, without pressing contacts apart. A trial that is hard to reach is
-#: given up for a shorter one.
+#: soon given up for a shorter one.
 _WARM = Settings(
     first_step=1.0,
     tolerance=1e-3,
     passing=1e-2,
-    max_steps=12,
+    max_steps=4,
     max_iterations=15,
     max_jumps=0,
     augmentations=0,
 )
+#: The same where there is no shorter one.
+_SURE = replace(_WARM, max_steps=12)
 #: Weight of the squared distance (mm) by which the face is moved off the pose that it was given:
 #: it is believed to a millimetre, and to a tenth where it is known. Were that free, it would take
 #: over motion of the skin.
 _POSE_COST, _KNOWN_POSE_COST = 1.0, 100.0
-#: Contacts are pressed apart, and the unknowns sought again, this often at most.
-_PRESSES = 4
+#: Contacts are pressed apart this often at most, and the unknowns sought before each time. More
+#: often the error goes to and fro by as much as it gains.
+_PRESSES = 2
 #: Two unknowns whose estimates correlate more than this can hardly be told apart.
 _CORRELATED = 0.8
 #: An unknown is not identifiable where two standard deviations exceed this (of its scale).
@@ -271,9 +275,11 @@ class _Search:
     def _advance(self, matrix: Array) -> float:
         """Take the longest step that makes things better, and return by how much; 0 for none."""
         reached, kept = self.reached, (self._path.problem, self._path.state)
-        while self._radius > 1e-3:
-            step, turn = _step(matrix, reached, self._radius)
+        while self._radius > _SMALL_STEP:
+            step, turn, promise = _step(matrix, reached, self._radius)
             if np.abs(step).max() < _SMALL_STEP and np.abs(turn).max() < _SMALL_SHIFT:
+                return 0.0
+            if promise < _SMALL_GAIN * reached.noise:
                 return 0.0
             values = np.clip(reached.values + step * reached.scales, reached.low, reached.high)
             further = turn * reached.units
@@ -289,20 +295,20 @@ class _Search:
                 self._radius = min(_LARGEST_STEP, 1.6 * self._radius)
                 return float(gain)
             self._path = Continuation(*kept, settings=_WARM)
-            self._radius *= 0.4
+            self._radius *= 0.25
         return 0.0
 
-    def _follow(self, values: Array) -> None:
+    def _follow(self, values: Array, settings: Settings = _WARM) -> None:
         """Bring the state to some values."""
         problem = self.driven.problem(values)
-        if problem is not self._path.problem:
-            self._path = Continuation(problem, self.state, settings=_WARM)
+        if problem is not self._path.problem or settings is not self._path.settings:
+            self._path = Continuation(problem, self.state, settings=settings)
         self._path.run(self.driven.load(values))
         self.solves += 1
 
     def settle(self, values: Array, pose: Registration) -> None:
         """Go to some values and a pose."""
-        self._follow(values)
+        self._follow(values, _SURE)
         self.reached = self._at(values, pose)
         self.press()
 
@@ -382,8 +388,8 @@ class _Point:
         return np.asarray(slope)
 
 
-def _step(matrix: Array, point: _Point, radius: float) -> tuple[Array, Array]:
-    """Return the bounded Gauss-Newton step of unknowns and pose, in their units."""
+def _step(matrix: Array, point: _Point, radius: float) -> tuple[Array, Array, float]:
+    """Return the bounded Gauss-Newton step of unknowns and pose, in their units, and its gain."""
     matches, scales = point.matches, point.scales
     k = len(scales)
     units = np.concatenate([scales, point.units])
@@ -398,7 +404,7 @@ def _step(matrix: Array, point: _Point, radius: float) -> tuple[Array, Array]:
     high = np.maximum(high, low + 1e-12)
     right = -0.5 * np.linalg.solve(root, point.gradient(matrix))
     found = lsq_linear(root.T, right, (low, high), method="bvls")
-    return found.x[:k], found.x[k:]
+    return found.x[:k], found.x[k:], float(right @ right - 2.0 * found.cost)
 
 
 def _noise(matches: Matches) -> float:
