@@ -127,6 +127,17 @@ def test_conjugate_corrections_follow_the_exact_tangent(face, pressed):
     assert problem.size(better - exact) < 0.03 * problem.size(exact)
 
 
+def test_a_load_that_is_reached_roughly_is_told(block_head):
+    problem = face_problem(block_head)
+    load = problem.load({"strap": 0.2})
+    # No correction is as short as this.
+    settings = Settings(tolerance=1e-18, rough=1e-2, max_iterations=12, max_steps=20)
+    statistics = Continuation(problem, settings=settings).run(load).statistics
+    assert statistics.converged and 1e-18 < statistics.correction_mm < 1e-2
+    with pytest.raises(LoadNotReached):
+        Continuation(problem, settings=replace(settings, rough=1e-18)).run(load)
+
+
 def test_contacts_that_cannot_be_pressed_apart_are_told(face, monkeypatch):
     def stuck(*_):
         raise SolveError("stuck")

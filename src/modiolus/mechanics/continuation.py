@@ -52,6 +52,9 @@ class Settings:
         pressures' is then below the same part of them, or of 1 kPa where they are less.
     passing : float
         The same for the steps before the last, whose only use is to begin the next one.
+    rough : float
+        The same for a load where contacts do not let corrections become as short as `tolerance`;
+        the statistics tell.
     pressing : float
         The same as long as contacts overlap that are pressed apart afterwards.
     first_step, least_step : float
@@ -81,6 +84,7 @@ class Settings:
 
     tolerance: float = 3e-4
     passing: float = 2e-2
+    rough: float = 2e-2
     pressing: float = 1e-3
     first_step: float = 0.06
     least_step: float = 2e-3
@@ -303,13 +307,14 @@ class Continuation:
         self._driven = [name for name, value in load.activations.items() if value > 0.0]
         self._blamed = []
         reached, step, steps, fault = 0.0, self._first_step(load), 0, ""
+        finest = settings.tolerance
 
         def goal(target: float) -> _Goal:
             if target < 1.0:
                 return _Goal(start.towards(load, target), settings.passing)
             # What will be pressed apart need not be told so finely.
             limit = settings.penetration if settings.augmentations else math.inf
-            return _Goal(load, settings.tolerance, limit)
+            return _Goal(load, finest, limit)
 
         while reached < 1.0:
             target = min(1.0, reached + step)
@@ -320,9 +325,13 @@ class Continuation:
             try:
                 state = self._advance(goal(target))
             except SolveError as error:
-                step = 0.3 * (target - reached)
                 self._at_hand = False
                 fault = str(error)
+                if target == 1.0 and finest < settings.rough and steps < settings.max_steps:
+                    # Where a contact point comes and goes, corrections go to and fro for ever.
+                    finest = settings.rough
+                    continue
+                step = 0.3 * (target - reached)
                 if moves and step >= settings.least_step and steps < settings.max_steps:
                     continue
                 target = min(1.0, reached + settings.first_step)
@@ -343,10 +352,10 @@ class Continuation:
             if self.report is not None:
                 statistics = self.state.statistics
                 self.report(reached, f"J {statistics.J_min:.2f} to {statistics.J_max:.2f}")
-        self._press(steps, began, kept)
+        self._press(steps, began, kept, finest)
         return self._told()
 
-    def _press(self, steps: int, began: float, kept: bool) -> None:
+    def _press(self, steps: int, began: float, kept: bool, finest: float) -> None:
         """Press contacts apart as long as they overlap (Uzawa's method).
 
         Where they are pressed as they were in an earlier state, once at least. Where a correction
@@ -362,10 +371,10 @@ class Continuation:
                     overlap = self.problem.overlap(self.state.parameters, self.state.load)
                     self.report(1.0, f"pressing apart what overlaps by {overlap:.2f} mm")
                 pressed = self.problem.augment(self.state.parameters, self.state.load)
-                goal = _Goal(pressed, settings.tolerance, settings.penetration)
+                goal = _Goal(pressed, finest, settings.penetration)
                 self._keep(self._advance(goal), steps, began)
-            if self.state.statistics.correction_mm > settings.tolerance:
-                goal = _Goal(self.state.load, settings.tolerance)
+            if self.state.statistics.correction_mm > finest:
+                goal = _Goal(self.state.load, finest)
                 self._keep(self._advance(goal), steps, began)
         except SolveError:
             self._at_hand = False
@@ -618,7 +627,8 @@ class Continuation:
     ) -> _Correction | None:
         """Correct by the exact tangent, or else by the convex one.
 
-        None where the exact tangent is unstable and the convex one is not: its factors remain.
+        None where the exact tangent is unstable near equilibrium: factors of the convex one, as far
+        damped as it takes to be stable, remain.
         """
         self._factorise(here, goal.load, damping=caution.damping)
         found = self._newton(here, goal)
@@ -627,12 +637,13 @@ class Continuation:
         # A negative pivot too many means that the tissue would buckle away from here.
         buckles = self._wrong_pivots() > 0
         self._factorise(here, goal.load, convex=True, damping=caution.damping)
-        stable = self._wrong_pivots() <= 0
-        caution.unstable = buckles and stable and size < self.settings.passing
-        if caution.unstable:
-            return None
-        caution.wary = WARY
-        return self._damped(here, goal, caution)
+        if not buckles or size >= self.settings.passing:
+            caution.wary = WARY
+            return self._damped(here, goal, caution)
+        while self._wrong_pivots() > 0:
+            self._damp(here, caution)
+        caution.unstable = True
+        return None
 
     def _unstable(self, here: _Iterate, goal: _Goal, caution: _Caution) -> _Correction | None:
         """Correct by an unstable tangent with stable factors; None where that leads astray."""
@@ -653,11 +664,15 @@ class Continuation:
     def _damped(self, here: _Iterate, goal: _Goal, caution: _Caution) -> _Correction:
         """Correct with the factors at hand, or as far damped as it takes."""
         while (found := self._newton(here, goal, far=caution.wary > 0)) is None:
-            caution.damping = max(10.0 * caution.damping, FIRST_DAMPING)
-            if caution.damping > MOST_DAMPING:
-                raise self._fault("no damping makes the corrections descend", here)
-            self._refactorise(caution.damping)
+            self._damp(here, caution)
         return found
+
+    def _damp(self, here: _Iterate, caution: _Caution) -> None:
+        """Damp the tangent at hand more."""
+        caution.damping = max(10.0 * caution.damping, FIRST_DAMPING)
+        if caution.damping > MOST_DAMPING:
+            raise self._fault("no damping makes the corrections descend", here)
+        self._refactorise(caution.damping)
 
     def _relax(self, goal: _Goal) -> State:
         """Let the tissue flow from the last state to an equilibrium that may be far.
