@@ -27,6 +27,8 @@ from .terms import Load
 #: Factorisations of a step after which the next is as long, and how much it may change at once.
 EASY = 6.0
 CHANGE = 0.7, 2.5
+#: Times that the last step may fail before its end need not be told so finely.
+LAST_STEPS = 2
 #: Share of a step in which the rate of what moves bodies is told.
 ONSET = 1e-3
 #: Parts of a correction that the next may have for the factors to stay: above and below tolerance.
@@ -307,7 +309,7 @@ class Continuation:
         self._driven = [name for name, value in load.activations.items() if value > 0.0]
         self._blamed = []
         reached, step, steps, fault = 0.0, self._first_step(load), 0, ""
-        finest = settings.tolerance
+        finest, failed = settings.tolerance, 0
 
         def goal(target: float) -> _Goal:
             if target < 1.0:
@@ -327,7 +329,8 @@ class Continuation:
             except SolveError as error:
                 self._at_hand = False
                 fault = str(error)
-                if target == 1.0 and finest < settings.rough and steps < settings.max_steps:
+                failed += target == 1.0
+                if failed == LAST_STEPS and finest < settings.rough and steps < settings.max_steps:
                     # Where a contact point comes and goes, corrections go to and fro for ever.
                     finest = settings.rough
                     continue
@@ -373,8 +376,8 @@ class Continuation:
                 pressed = self.problem.augment(self.state.parameters, self.state.load)
                 goal = _Goal(pressed, finest, settings.penetration)
                 self._keep(self._advance(goal), steps, began)
-            if self.state.statistics.correction_mm > finest:
-                goal = _Goal(self.state.load, finest)
+            if self.state.statistics.correction_mm > settings.tolerance:
+                goal = _Goal(self.state.load, settings.tolerance)
                 self._keep(self._advance(goal), steps, began)
         except SolveError:
             self._at_hand = False

@@ -50,6 +50,7 @@ _WARM = Settings(
     first_step=1.0,
     tolerance=1e-3,
     passing=1e-2,
+    rough=1e-3,
     max_steps=4,
     max_iterations=15,
     max_jumps=0,
