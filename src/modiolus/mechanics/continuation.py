@@ -262,6 +262,8 @@ class Continuation:
         self._at_hand = False
         self._reached = 0.0
         self._diagonal: Array | None = None
+        # Of the factors at hand.
+        self._damping = 0.0
         self._factorisations = 0
         self._iterations = 0
         self._jumps = 0
@@ -486,6 +488,7 @@ class Continuation:
             self._diagonal = matrix.diagonal()[: self.problem.assembly.n_displacements]
         self.solver.factorise(matrix)
         self._factorisations += 1
+        self._damping = damping
         self._at_hand = damping == 0.0 and self._wrong_pivots() <= 0
 
     def _conjugate(self, residual: Array) -> Array:
@@ -604,14 +607,14 @@ class Continuation:
                 found = self._exact(here, size, goal, caution)
             if found is None:
                 continue
-            exact = near and caution.wary == 0 and caution.damping == 0.0
+            exact = near and caution.wary == 0 and self._damping == 0.0
             here, size = found.there, found.after
             if exact and found.size < tolerance and self._enough(found.following, here, goal):
                 # Where contacts switch, corrections need not shrink any more.
                 return self._converged(here, goal.load, max(found.size, size))
             # Corrections that are damped, or hardly shrink, are small far from equilibrium too.
             contracts = size < (GOOD if size > tolerance else FAIR) * found.size
-            if found.full and caution.damping == 0.0 and contracts:
+            if found.full and self._damping == 0.0 and contracts:
                 here, size, settled = self._settle(here, found.following, goal)
             caution.learn(found, tolerance, done <= settings.patience)
         return self._converged(here, goal.load, size)
