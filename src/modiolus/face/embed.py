@@ -294,16 +294,17 @@ def modiolus_centre(muscles: Mapping[str, Muscle], corner: Array) -> Array:
     return np.asarray(0.5 * (np.mean(ends, axis=0) + corner))
 
 
-def origins(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attachment]:
-    """Return the attachments of the muscles' bony ends."""
+def origins(
+    mesh: HermiteMesh, muscles: Mapping[str, Muscle], fineness: int = 1
+) -> dict[str, Attachment]:
+    """Return the attachments of the muscles' bony ends, at points as of `Muscle.end_points`."""
     out: dict[str, Attachment] = {}
     for name, (stiffness, share) in ORIGINS.items():
         if name not in muscles:
             continue
         muscle = muscles[name]
-        ends = [muscle.end_points(share)]
-        if muscle.kind == "ring":
-            ends.append(muscle.end_points(share, insertion=True))
+        sides = (False, True) if muscle.kind == "ring" else (False,)
+        ends = [muscle.end_points(share, side, fineness) for side in sides]
         points, volumes = (np.concatenate(part) for part in zip(*ends, strict=True))
         out[name] = _held(mesh, name, points, volumes, stiffness)
     return out
@@ -338,19 +339,20 @@ INSERTIONS: dict[str, float] = dict.fromkeys(
 INSERTION_SHARE, INSERTION_SPREAD = 0.35, 2.5
 
 
-def insertions(mesh: HermiteMesh, muscles: Mapping[str, Muscle]) -> dict[str, Attachment]:
-    """Return the ends of the muscles that are bound to the skin above them.
+def insertions(
+    mesh: HermiteMesh, muscles: Mapping[str, Muscle], fineness: int = 1
+) -> dict[str, Attachment]:
+    """Return the ends of the muscles that are bound to the skin above them, as `origins` does.
 
     The muscles of expression move the skin because their fibres end between those of the
     dermis; fat alone would let a deep end slip under it.
     """
-    return {
-        name: _fanned(
-            mesh, _held(mesh, name, *muscles[name].end_points(INSERTION_SHARE, True), stiffness)
-        )
-        for name, stiffness in INSERTIONS.items()
-        if name in muscles
-    }
+    out: dict[str, Attachment] = {}
+    for name, stiffness in INSERTIONS.items():
+        if name in muscles:
+            end = muscles[name].end_points(INSERTION_SHARE, True, fineness)
+            out[name] = _fanned(mesh, _held(mesh, name, *end, stiffness))
+    return out
 
 
 def _fanned(mesh: HermiteMesh, bonds: Attachment) -> Attachment:

@@ -114,6 +114,8 @@ class Head:
         Subject, source, licence, attribution, and the figures of the build.
     half : Head or None
         Of a head with both sides, the half that it was made of; see `whole`.
+    fineness : int
+        How many times as densely as usual its muscles are integrated, see `Muscle.fibre_points`.
     """
 
     name: str
@@ -130,6 +132,7 @@ class Head:
     midplane: float = MIDPLANE
     about: dict[str, Any] = field(default_factory=dict)
     half: Head | None = None
+    fineness: int = 1
 
     @cached_property
     def skinward(self) -> NDArray[np.int64]:

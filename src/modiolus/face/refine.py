@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from ..hermite import Side, gauss
+from ..hermite import HermiteMesh, Side, gauss
 from ..hermite.basis import Array
+from .embed import insertions, origins
 from .head import Attachment, Head
+from .muscle import Muscle
 
 __all__ = ["at_gauss", "at_points", "child_points", "parent_points", "refined"]
 
 IntArray = NDArray[np.int64]
+Builder = Callable[[HermiteMesh, Mapping[str, Muscle], int], dict[str, Attachment]]
 
 
 def refined(head: Head, counts: Sequence[int]) -> Head:
     """Return a half head whose tissue elements are split into equal parts.
 
-    The refinement is exact, so the head at rest has the same shape. Muscles, deep structures and
-    the points of attachments and landmarks stay where they are; they get the children they lie
-    in. What the tissue is made of is interpolated from the Gauss points of the given head: the
-    same material on a finer mesh.
+    The refinement is exact, so the head at rest has the same shape. Muscles, deep structures,
+    attachments and landmarks stay where they are; they get the children they lie in. What pulls or
+    holds the tissue at points does so at that many more, or a finer mesh would give way between
+    them; the ends of muscles are bound anew for that, as `modiolus.face.embed` does. What the
+    tissue is made of is interpolated from the Gauss points of the given head: the same material
+    on a finer mesh.
 
     Parameters
     ----------
@@ -44,10 +49,18 @@ def refined(head: Head, counts: Sequence[int]) -> Head:
     if head.half is not None:
         raise InputError(f"{head.name}: it has both sides; refine its half")
 
-    def moved(items: dict[str, Attachment]) -> dict[str, Attachment]:
+    fineness = head.fineness * max(counts[:2])
+
+    def moved(items: dict[str, Attachment], anew: Builder | None = None) -> dict[str, Attachment]:
+        out = {name: _spread(item, counts) for name, item in items.items()}
+        if anew is not None and fineness > head.fineness:
+            made = anew(head.tissue, head.muscles, fineness)
+            for name, item in ((name, made[name]) for name in items if name in made):
+                held = items[name].stiffness.sum() / item.stiffness.sum()
+                out[name] = replace(item, stiffness=held * item.stiffness)
         return {
             name: Attachment(name, *child_points(item.elements, item.xi, counts), item.stiffness)
-            for name, item in items.items()
+            for name, item in out.items()
         }
 
     landmarks: dict[str, tuple[int, tuple[float, float, float]]] = {}
@@ -65,10 +78,33 @@ def refined(head: Head, counts: Sequence[int]) -> Head:
         landmarks=landmarks,
         fraction=at_points(head.fraction, parent, inside).reshape(tissue.n_elements, -1),
         firmness=at_points(head.firmness, parent, inside).reshape(tissue.n_elements, -1),
-        attachments=moved(head.attachments),
-        insertions=moved(head.insertions),
+        attachments=moved(head.attachments, origins),
+        insertions=moved(head.insertions, insertions),
         sheets=moved(head.sheets),
+        fineness=fineness,
     )
+
+
+def _spread(item: Attachment, counts: Sequence[int]) -> Attachment:
+    """Share the points of a Gauss rule along the layer among equal parts of their cells.
+
+    Points that are of no such rule stay as they are.
+    """
+    parts = tuple(counts[:2])
+    for order in range(1, 5):
+        ticks, widths = (values.ravel() for values in gauss(1, order))
+        place = np.abs(item.xi[:, :2, None] - ticks).argmin(axis=2)
+        if parts == (1, 1) or not np.allclose(ticks[place], item.xi[:, :2], atol=1e-9):
+            continue
+        steps = [(np.arange(n) + 0.5) / n for n in parts]
+        within = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        xi = np.repeat(item.xi, len(within), axis=0)
+        starts = np.cumsum(widths) - widths
+        cells = starts[place][:, None] + widths[place][:, None] * within
+        xi[:, :2] = cells.reshape(-1, 2)
+        share = np.repeat(item.stiffness / len(within), len(within))
+        return Attachment(item.name, np.repeat(item.elements, len(within)), xi, share)
+    return item
 
 
 def child_points(

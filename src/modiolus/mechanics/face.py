@@ -479,9 +479,7 @@ def fibres(head: Head, settings: FaceSettings, measured: Head | None = None) -> 
     half = source.half or source
     moving: list[FibreQuadrature] = []
     gliding: list[GlidingQuadrature] = []
-    rules = [
-        muscle.faded(muscle.quadrature((4, muscle.across(), 2))) for muscle in half.muscles.values()
-    ]
+    rules = [muscle.fibre_points(source.fineness) for muscle in half.muscles.values()]
     place = half.tissue.locate(np.concatenate([rule.points for rule in rules]))
     ends = np.cumsum([len(rule.points) for rule in rules])
     numbered = 0
