@@ -7,7 +7,7 @@ import pytest
 
 from modiolus.errors import InputError
 from modiolus.face.expression import Expression, resolve
-from modiolus.face.head import Attachment
+from modiolus.face.head import Attachment, Head
 from modiolus.face.refine import at_gauss, child_points, parent_points, refined
 from modiolus.hermite import gauss
 from modiolus.mechanics import Continuation, State
@@ -43,6 +43,16 @@ def test_what_holds_at_points_does_at_so_many_more(block_head, counts):
             inner = np.unique(parent_points(there.elements, there.xi, counts)[0])
             assert np.array_equal(inner, held)
             assert len(np.unique(there.elements)) == counts[0] * counts[1] * len(held)
+
+
+def test_a_refined_head_is_kept(taro, tmp_path):
+    finer = refined(taro, (2, 1, 1))
+    finer.save(tmp_path)
+    assert Head.load(tmp_path).fineness == finer.fineness == 2
+    table = tmp_path / "head.toml"
+    table.write_text(table.read_text().replace("fineness = 2", "fineness = 1.5"))
+    with pytest.raises(InputError, match="fineness is"):
+        Head.load(tmp_path)
 
 
 def test_points_of_no_rule_stay(block_head):

@@ -36,6 +36,8 @@ _SHIPPED = files("modiolus.face") / "data" / "heads"
 _LARGEST = 512 * 2**20
 #: No number of a head, of whichever unit, is as large as this.
 _LARGEST_NUMBER = 1e9
+#: No head is refined more often than this along an edge of its elements.
+_FINEST = 16
 #: What of `Head.about` goes into the LICENSE beside the data.
 _LICENCE_KEYS = ("licence", "licence_url", "attribution", "source", "changes")
 #: Without these sides and landmarks a head can be neither computed nor reported on.
@@ -278,7 +280,7 @@ class Head:
 
     def _toml(self) -> str:
         lines = [f"format = {FORMAT}", f"name = {json.dumps(self.name)}"]
-        lines += [f"midplane = {self.midplane!r}", ""]
+        lines += [f"midplane = {self.midplane!r}", f"fineness = {self.fineness}", ""]
         lines += _table("about", self.about)
         lines += ["[landmarks]", "# element, xi1, xi2, xi3"]
         for name, (element, xi) in self.landmarks.items():
@@ -340,6 +342,7 @@ class Head:
                 sheets=held["sheet"],
                 midplane=float(_finite(np.array(table["midplane"]))),
                 about=dict(table.get("about", {})),
+                fineness=_fineness(table.get("fineness", 1)),
             )
         except InputError as error:
             raise InputError(f"{folder}: {error}") from error
@@ -405,6 +408,12 @@ def _held(name: str, values: NDArray[Any], mesh: HermiteMesh) -> Attachment:
     if not (stiffness >= 0.0).all():
         raise ValueError(f"stiffness of {name} is not from 0 up")
     return Attachment(name, _elements(values[:, 0], mesh), _shares(values[:, 1:4]), stiffness)
+
+
+def _fineness(value: Any) -> int:
+    if type(value) is not int or not 1 <= value <= _FINEST:
+        raise ValueError(f"fineness is {value!r}, not a whole number from 1 to {_FINEST}")
+    return value
 
 
 def _landmarks(
