@@ -54,16 +54,23 @@ def converge(
     rows: list[dict[str, Any]] = []
     every = list(variants(finest))
     written = not (as_json or quiet)
-    with Progress(f"comparing {wanted.name}", total=len(every), quiet=quiet) as progress:
-        for done, variant in enumerate(every):
+    total, done = sum(variant.effort for variant in every), 0.0
+    with Progress(f"comparing {wanted.name}", total=total, quiet=quiet) as progress:
+        for variant in every:
+
+            def tell(_: float, what: str, done: float = done, name: str = variant.name) -> None:
+                # Most begin at the end of the path already: the share says nothing.
+                progress.update(done, f"{name}: {what}")
+
             progress.update(done, variant.name)
-            rows.append(study.row(variant))
+            rows.append(study.row(variant, tell))
+            done += variant.effort
             if written:
                 # Rows stay, whatever becomes of those that take minutes.
                 progress.pause()
-                sys.stdout.write((_HEADING if not done else "") + _line(rows[-1]) + "\n")
+                sys.stdout.write(("" if rows[1:] else _HEADING) + _line(rows[-1]) + "\n")
                 sys.stdout.flush()
-        progress.update(len(every), "done")
+        progress.update(total, "done")
     record = {
         "expression": wanted.name,
         "head": chosen.name,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from ..errors import SolveError
 from ..face.head import Head
 from ..face.refine import child_points, parent_points, refined
+from ..progress import Report
 from .contact import face_points
 from .continuation import Continuation, Settings
 from .face import FaceSettings, face_load, face_problem
@@ -49,6 +51,11 @@ class Variant:
     counts: tuple[int, int, int] = (1, 1, 1)
     face: FaceSettings = field(default_factory=FaceSettings)
     path: Settings = field(default_factory=Settings)
+
+    @property
+    def effort(self) -> float:
+        """Roughly how many times as long it takes to solve as on the default mesh."""
+        return math.pow(math.prod(self.counts), 1.5)
 
 
 def variants(finest: int = 1) -> Iterator[Variant]:
@@ -135,8 +142,15 @@ class Study:
         self.points = face_points(head.tissue, *head.sides["outer"])
         self._default: tuple[State, Array, Array] | None = None
 
-    def row(self, variant: Variant) -> dict[str, Any]:
-        """Solve a variant and compare it with the first one, the default."""
+    def row(self, variant: Variant, report: Report | None = None) -> dict[str, Any]:
+        """Solve a variant and compare it with the first one, the default.
+
+        Parameters
+        ----------
+        variant : Variant
+        report : callable, optional
+            Told the share that is done and what goes on.
+        """
         half = self.half if variant.counts == (1, 1, 1) else refined(self.half, variant.counts)
         head = half.whole if self.both else half
         problem = face_problem(head, variant.face)
@@ -149,7 +163,7 @@ class Study:
             "converged": True,
         }
         try:
-            state = self._solve(problem, load, variant)
+            state = self._solve(problem, load, variant, report)
         except SolveError as error:
             if self._default is None:
                 raise
@@ -172,15 +186,17 @@ class Study:
             "why": "",
         }
 
-    def _solve(self, problem: Problem, load: Load, variant: Variant) -> State:
+    def _solve(
+        self, problem: Problem, load: Load, variant: Variant, report: Report | None
+    ) -> State:
         """Solve from the default's state where that serves, otherwise from rest."""
         start = self._start(problem, load, variant)
         if start is not None:
             try:
-                return Continuation(problem, start, settings=variant.path).run(load)
+                return Continuation(problem, start, settings=variant.path, report=report).run(load)
             except SolveError:
                 pass
-        return Continuation(problem, settings=variant.path).run(load)
+        return Continuation(problem, settings=variant.path, report=report).run(load)
 
     def _start(self, problem: Problem, load: Load, variant: Variant) -> State | None:
         refines = variant.counts != (1, 1, 1)
