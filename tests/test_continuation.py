@@ -206,6 +206,9 @@ def test_a_study_compares_with_its_default(block_head):
     finer = [{**rows[-1], "kind": "mesh", "rms_change_mm": change} for change in (0.3, 0.4)]
     assert discretisation_error([*rows, *finer]) == pytest.approx(total + 0.4)
     json.dumps(rows, allow_nan=False)
+    # What could not be refined is no error of nothing.
+    failed = {**rows[-1], "kind": "mesh", "rms_change_mm": None}
+    assert discretisation_error([*rows, failed]) is None
 
 
 def test_a_state_of_another_head_is_refused(capsys, tmp_path):

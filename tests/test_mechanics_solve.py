@@ -116,6 +116,30 @@ def test_small_changes_reuse_the_factors():
     assert state.statistics.factorisations <= 4
 
 
+@pytest.mark.parametrize(("force", "unstable"), [(0.008, 0), (0.03, 2)])
+def test_a_straight_column_says_that_it_would_buckle(force, unstable):
+    """Beyond Euler's load of 0.0123 mN the column stays straight, and is stable no more."""
+    mesh = box((2, 1, 1), (10.0, 1.0, 1.0))
+    last = np.array([mesh.evaluate([0, 1], np.full((2, 3), 0.5))[:, 0].argmax()])
+    elements, xi, areas = face_points(mesh, last, 0, 1)
+    push = DeadForces(mesh, elements, xi, areas[:, None] * [-1.0, 0.0, 0.0], "push")
+    first = 1 - last
+    problem = Problem(
+        mesh, [1.0, 0.0, 0.0], kappa=50.0, terms=[push], fixed=clamp(mesh, first, 0, 0)
+    )
+    state = solve(problem, Load(forces={"push": force}))
+    assert state.statistics.wrong_pivots == unstable
+    assert any("buckle" in doubt for doubt in state.statistics.doubts) == (unstable > 0)
+
+
+def test_what_stops_forces_is_named():
+    problem = cube_with_fibres()
+    push = DeadForces(problem.mesh, [0], [[1.0, 0.5, 0.5]], [[1.0, 0.0, 0.0]], "pull")
+    held = Problem(problem.mesh, [2.0, 0.0, 0.0], terms=[push], fixed=problem.fixed)
+    with pytest.raises(SolveError, match=r"of the load \(pull\)"):
+        solve(held, Load(forces={"pull": 1e4}), settings=Settings(max_steps=2))
+
+
 @pytest.fixture(scope="module")
 def shallow_arch():
     """Half of a shallow arch, clamped at its end and pressed down at its crown."""

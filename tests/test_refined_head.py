@@ -169,5 +169,9 @@ def test_the_smile_contracts_under_refinement(taro):
 def test_what_cannot_be_refined_is_refused(block_head):
     with pytest.raises(InputError, match="counts"):
         refined(block_head, (0, 1, 1))
+    with pytest.raises(InputError, match="counts"):
+        refined(block_head, (2.5, 1, 1))
+    with pytest.raises(InputError, match="has been refined"):
+        refined(refined(block_head, (2, 1, 1)), (2, 2, 1))
     with pytest.raises(InputError, match="refine its half"):
         refined(block_head.whole, (1, 1, 2))

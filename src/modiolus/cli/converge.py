@@ -103,7 +103,9 @@ def _line(row: dict[str, Any]) -> str:
 def _summary(record: dict[str, Any]) -> str:
     """Say what the table comes to."""
     parts = "mesh, quadrature and steps" if record["refinements"] else "quadrature and steps alone"
+    error = record["discretisation_error_mm"]
+    found = "not known, as a part could not be refined" if error is None else f"{error:.3f} mm"
     return (
         f"\nLengths in mm. Discretisation error of {record['expression']} on {record['head']} by "
-        f"{parts}: {record['discretisation_error_mm']:.3f} mm, root mean square over the skin."
+        f"{parts}, root mean square over the skin: {found}."
     )

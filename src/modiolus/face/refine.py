@@ -41,19 +41,23 @@ def refined(head: Head, counts: Sequence[int]) -> Head:
     Raises
     ------
     InputError
-        The head has both sides, or a count is not a whole number from 1 up.
+        The head has both sides or has been refined, or a count is not a whole number from 1 up.
     """
-    counts = tuple(int(n) for n in counts)
-    if len(counts) != 3 or min(counts) < 1:
-        raise InputError(f"counts: {counts} are not three whole numbers from 1 up; mend them")
+    given = tuple(counts)
+    counts = tuple(int(n) for n in given)
+    if len(counts) != 3 or min(counts) < 1 or counts != given:
+        raise InputError(f"counts: {given} are not three whole numbers from 1 up; mend them")
     if head.half is not None:
         raise InputError(f"{head.name}: it has both sides; refine its half")
+    # The points of its sheets are those of no rule any more.
+    if head.fineness > 1:
+        raise InputError(f"{head.name}: it has been refined; refine the head that it was made of")
 
-    fineness = head.fineness * max(counts[:2])
+    fineness = max(counts[:2])
 
     def moved(items: dict[str, Attachment], anew: Builder | None = None) -> dict[str, Attachment]:
         out = {name: _spread(item, counts) for name, item in items.items()}
-        if anew is not None and fineness > head.fineness:
+        if anew is not None and fineness > 1:
             made = anew(head.tissue, head.muscles, fineness)
             for name, item in ((name, made[name]) for name in items if name in made):
                 held = items[name].stiffness.sum() / item.stiffness.sum()

@@ -81,7 +81,8 @@ def trace(
     Raises
     ------
     InputError
-        The load moves the jaw or what is fixed: a path leads through activations and forces.
+        The load moves the jaw or what is fixed, or changes nothing: a path leads through
+        activations and forces.
     SolveError
         No stride, however short, leads on.
     """
@@ -98,6 +99,8 @@ def trace(
         path.factorise(here)
         rate = path.rate(here)
         size = problem.size(rate)
+        if not size > 0.0:
+            raise InputError("load: it changes nothing; name one that differs from the state's")
         # The way goes on as the displacements have it, also where the load turns.
         onward = 1.0 if before is None or problem.product(rate, before) > 0.0 else -1.0
         before = rate * (onward / size)

@@ -339,7 +339,7 @@ class Continuation:
                 step = 0.3 * (target - reached)
                 if moves and step >= settings.least_step and steps < settings.max_steps:
                     continue
-                target = min(1.0, reached + settings.first_step)
+                target = min(1.0, reached + settings.first_step) if moves else 1.0
                 try:
                     if steps >= settings.max_steps or self._jumps >= settings.max_jumps:
                         raise
@@ -358,6 +358,7 @@ class Continuation:
                 statistics = self.state.statistics
                 self.report(reached, f"J {statistics.J_min:.2f} to {statistics.J_max:.2f}")
         self._press(steps, began, kept, finest)
+        self._judge(steps, began)
         return self._told()
 
     def _press(self, steps: int, began: float, kept: bool, finest: float) -> None:
@@ -383,9 +384,24 @@ class Continuation:
                 self._keep(self._advance(goal), steps, began)
         except SolveError:
             self._at_hand = False
+            self._keep(self.state, steps, began)
             told = self._told().statistics
             apart = told.max_penetration_mm <= settings.penetration
             self.state = replace(self.state, statistics=replace(told, pressed=apart))
+
+    def _judge(self, steps: int, began: float) -> None:
+        """Tell whether the last state is stable, by its exact tangent.
+
+        The factors that led there are of a point nearby, damped or without what is unstable. Those
+        made here serve the next step.
+        """
+        try:
+            self._factorise(self.state, self.state.load)
+        except SolveError:
+            return
+        if self.solver.negative_pivots is not None:
+            known = replace(self.state.statistics, wrong_pivots=self._wrong_pivots())
+            self._keep(replace(self.state, statistics=known), steps, began)
 
     def _first_step(self, load: Load) -> float:
         """Return the first step: small at rest, and from a known state by what changes."""
@@ -482,6 +498,8 @@ class Continuation:
 
     def _refactorise(self, damping: float) -> None:
         """Factorise the element tangents at hand, with a multiple of the first diagonal added."""
+        # Should the solver fail, or be interrupted, there are none.
+        self._at_hand = False
         extra = None if self._diagonal is None or damping == 0.0 else damping * self._diagonal
         matrix = self.problem.tangent(extra)
         if self._diagonal is None:
@@ -590,8 +608,10 @@ class Continuation:
         """
         settings, tolerance = self.settings, goal.tolerance
         caution = _Caution()
-        change = -self.solver.solve(here.evaluation.residual)
-        here, size, settled = self._settle(here, change, goal)
+        size, settled = math.inf, False
+        if self._damping == 0.0:
+            change = -self.solver.solve(here.evaluation.residual)
+            here, size, settled = self._settle(here, change, goal)
         done = 0
         while not settled:
             if done == settings.max_iterations:
@@ -702,6 +722,8 @@ class Continuation:
             if viscosity < LEAST_DAMPING and found.full and found.after < 0.5 * found.size:
                 break
             viscosity *= 0.3
+        else:
+            raise self._fault("the tissue does not come to rest", here)
         self._at_hand = False
         return self._correct(here, goal)
 
@@ -803,11 +825,9 @@ class Continuation:
         return None
 
     def _converged(self, here: _Iterate, load: Load, size: float) -> State:
-        wrong = None if self.solver.negative_pivots is None else self._wrong_pivots()
         statistics = replace(
             self.problem.check(here.evaluation.volume_ratio),
             max_penetration_mm=math.nan,
-            wrong_pivots=wrong,
             correction_mm=size,
         )
         self._energies = here.evaluation.energies
@@ -846,19 +866,20 @@ class Continuation:
         names = [name for name, value in load.activations.items() if value > 0.0]
         if load.jaw > 0.0:
             names.append(f"jaw open by {np.degrees(load.jaw):.3g}°")
+        names += [name for name, factor in load.forces.items() if factor != 0.0]
         advice = []
         if names:
             blamed = self._blamed or sorted(names, key=lambda n: -load.activations.get(n, 0.0))[:1]
             advice.append(f"less of {_several(blamed)}")
-        else:
-            advice.append("a smaller displacement")
+        elif load.prescribed is not None:
+            names, advice = ["the prescribed displacement"], ["a smaller displacement"]
         if steps >= self.settings.max_steps:
             advice.append(f"more than {steps} steps")
         kappa = self.problem.kappa
         advice.append(f"a volumetric stiffness above {kappa:g} kPa (--set kappa=VALUE)")
         text = (
             f"continuation: stopped at {reached:.1%} of the load "
-            f"({_several(names) if names else 'the prescribed displacement'}) after {steps} "
+            f"({_several(names) if names else 'the way back to rest'}) after {steps} "
             f"steps; {fault}; try {' or '.join(advice)}"
         )
         return LoadNotReached(text, reached, self._told())

@@ -81,17 +81,21 @@ def variants(finest: int = 1) -> Iterator[Variant]:
         yield Variant("mesh", f"refined {parts} x {parts}", (parts, parts, 1))
 
 
-def discretisation_error(rows: list[dict[str, Any]]) -> float:
+def discretisation_error(rows: list[dict[str, Any]]) -> float | None:
     """Return the error of the discretisation over the skin in mm, root mean square.
 
-    The sum of what refining each part of the discretisation changes at most: a bound by the
-    triangle inequality on what they change together.
+    The sum of what refining each part of the discretisation changes at most: what they change
+    together where the changes add up. None where a part could not be refined, as not one of its
+    rows has converged.
     """
-    changes = [
-        [row["rms_change_mm"] or 0.0 for row in rows if row["kind"] == kind]
-        for kind in DISCRETISATION
-    ]
-    return float(sum(max(part, default=0.0) for part in changes))
+    total = 0.0
+    for kind in DISCRETISATION:
+        part = [row["rms_change_mm"] for row in rows if row["kind"] == kind]
+        changes = [change for change in part if change is not None]
+        if part and not changes:
+            return None
+        total += max(changes, default=0.0)
+    return total
 
 
 def inherited(problem: Problem, known: State, counts: tuple[int, int, int]) -> State:

@@ -62,8 +62,9 @@ class Statistics:
         False where contacts overlap more than they have to, since a correction failed as they were
         pressed apart.
     wrong_pivots : int or None
-        Negative pivots beyond the number of pressures in the last factorisation; not 0
-        means that the state is not a stable equilibrium. None when the solver cannot tell.
+        Negative pivots of the state's exact tangent beyond the number of pressures: directions in
+        which it is not a stable equilibrium. None on the way to a load, and when the solver
+        cannot tell.
     correction_mm : float
         Displacement of the last correction, root mean square.
     """
@@ -101,6 +102,8 @@ class Statistics:
         if self.correction_mm > CORRECTION:
             moved = f"{self.correction_mm:.3f} mm"
             found.append(f"the last correction still moved the tissue by {moved}")
+        if self.wrong_pivots:
+            found.append("the tissue would buckle from here: the state is not stable")
         if self.jumps:
             found.append("the path ended on the way, and the tissue went over to a state elsewhere")
         return tuple(found)
