@@ -278,6 +278,22 @@ def test_pressures_are_eliminated_after_what_they_act_on_and_no_pivot_is_perturb
     assert np.abs(symmetric_product(matrix, solver.solve(right)) - right).max() < 1e-10
 
 
+def test_an_expected_structure_gives_the_same_factors():
+    problem = cube_with_fibres()
+    state = problem.rest()
+    problem.evaluate(state.parameters, state.pressure, problem.load({"all": 0.2}), tangent=True)
+    matrix = problem.tangent()
+    right = np.cos(np.arange(problem.n_unknowns))
+    found = []
+    for expected in (False, True):
+        solver = Pardiso()
+        if expected:
+            solver.expect(problem.assembly.structure)
+        solver.factorise(matrix)
+        found.append(solver.solve(right))
+    assert (found[0] == found[1]).all()
+
+
 @pytest.mark.parametrize("value", [-0.1, 1.2, float("nan")])
 def test_impossible_activation_is_refused(value):
     with pytest.raises(InputError, match="all: activation"):

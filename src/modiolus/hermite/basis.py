@@ -10,6 +10,7 @@ d1, d2, d12, d3, d13, d23, d123.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -45,8 +46,13 @@ def basis_1d(xi: ArrayLike, derivative: int = 0) -> Array:
     (n, 2, 2) array
         ``[point, side, derivative]``.
     """
-    coefficients = polynomial.polyder(COEFFICIENTS.T, derivative)
-    return np.asarray(polynomial.polyval(np.asarray(xi, dtype=float), coefficients).T)
+    return np.asarray(polynomial.polyval(np.asarray(xi, dtype=float), _derived(derivative)).T)
+
+
+@cache
+def _derived(derivative: int) -> Array:
+    """Return `COEFFICIENTS` of a derivative, by ascending power."""
+    return np.asarray(polynomial.polyder(COEFFICIENTS.T, derivative))
 
 
 def smooth_step(values: ArrayLike) -> Array:

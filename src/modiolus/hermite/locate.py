@@ -80,6 +80,16 @@ def _evaluate(dim, coefficients, local, xi, x, tangents):  # type: ignore[no-unt
 
 
 @njit(cache=True)
+def tangents_at(dim, coefficients, locals_, elements, xi):  # type: ignore[no-untyped-def]
+    """Return the tangents at points of elements as columns, (n, 3, dim)."""
+    x = np.empty(3)
+    out = np.empty((len(xi), 3, dim))
+    for point, element in enumerate(elements):
+        _evaluate(dim, coefficients, locals_[element], xi[point], x, out[point])
+    return out
+
+
+@njit(cache=True)
 def _solved(dim, matrix, right):  # type: ignore[no-untyped-def]
     """Return ``-matrix⁻¹ right`` of a positive definite matrix by elimination; both overwritten.
 

@@ -12,9 +12,9 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .basis import Array, IntArray, basis
+from .basis import COEFFICIENTS, Array, IntArray, basis
 from .check import numbers, whole
-from .locate import Location, locate
+from .locate import Location, locate, tangents_at
 from .quadrature import Quadrature, gauss
 from .rows import same_rows
 
@@ -137,11 +137,15 @@ class HermiteMesh:
         self, elements: ArrayLike, xi: ArrayLike, derivative: Sequence[int] | None
     ) -> tuple[IntArray, Array]:
         """Return checked elements (n,) and their local functions at xi, (n, 4**dim)."""
-        hosts = whole("elements", elements, self.n_elements)
         functions = basis(self.dim, xi, derivative)
-        if len(functions) != len(hosts):
-            raise InputError(f"xi: {len(functions)} for {len(hosts)} elements; give one each")
-        return hosts, functions
+        return self._hosts(elements, functions), functions
+
+    def _hosts(self, elements: ArrayLike, points: Array) -> IntArray:
+        """Return checked elements (n,), one for each of some points."""
+        hosts = whole("elements", elements, self.n_elements)
+        if len(points) != len(hosts):
+            raise InputError(f"xi: {len(points)} for {len(hosts)} elements; give one each")
+        return hosts
 
     def _rows(self, elements: ArrayLike, local: ArrayLike) -> sp.csr_matrix:
         """Return some local rows of the extraction for each of some elements."""
@@ -157,9 +161,10 @@ class HermiteMesh:
 
     def jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
         """Return the tangent vectors dx/dxi_k as columns, (n, 3, dim)."""
-        units = np.eye(self.dim, dtype=int).tolist()
-        columns = [self.evaluate(elements, xi, unit) for unit in units]
-        return np.stack(columns, axis=2)
+        # A copy in order: for every other layout the kernel would be compiled once more.
+        xi = np.array(numbers("xi", xi, None, self.dim), order="C")
+        hosts = self._hosts(elements, xi)
+        return np.asarray(tangents_at(self.dim, COEFFICIENTS, self._local, hosts, xi))
 
     def scaled_jacobian(self, elements: ArrayLike, xi: ArrayLike) -> Array:
         """Return the determinant of the normalised tangent vectors of a volume mesh, (n,).

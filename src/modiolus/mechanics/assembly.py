@@ -241,6 +241,13 @@ class Assembly:
             out += np.bincount(equations[keep], group.pressure_residual[keep], minlength=self.n)
         return out
 
+    @property
+    def structure(self) -> sp.csr_matrix:
+        """A matrix like the tangent, with ones but for the diagonal of the pressures."""
+        data = np.ones(len(self._indices), dtype=np.float32)
+        data[self._indptr[self.n_displacements : -1]] = 0.0
+        return sp.csr_matrix((data, self._indices, self._indptr), shape=(self.n, self.n))
+
     def matrix(self, extra: Array | None = None) -> sp.csr_matrix:
         """Return the upper triangle of the tangent of the free unknowns.
 

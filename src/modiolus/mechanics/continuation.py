@@ -493,6 +493,8 @@ class Continuation:
         self, here: State | _Iterate, load: Load, *, convex: bool = False, damping: float = 0.0
     ) -> None:
         """Factorise the tangent at a point, or one without what can make it unstable."""
+        if self._diagonal is None:
+            self.solver.expect(self.problem.assembly.structure)
         self.problem.evaluate(here.parameters, here.pressure, load, tangent=True, convex=convex)
         self._refactorise(damping)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from typing import TypeVar
@@ -334,12 +335,17 @@ def face_problem(
         held = clamp(mesh, *cut)
         held[:, : FREE.get(_part(name), 0)] = False
         fixed |= held
-    acting: list[PointTerm] = [*terms, *fibres(head, settings, measured), *_springs(head, measured)]
+    acting = list(terms)
+    # Bodies are rounded while the muscles are placed.
+    with ThreadPoolExecutor(1) as beside:
+        bodies = beside.submit(_bodies, head)
+        acting += [*fibres(head, settings, measured), *_springs(head, measured)]
     acting += [
         Sheet(mesh, item.elements, item.xi, item.stiffness, name)
         for name, item in head.sheets.items()
     ]
-    acting += [*_deep_contacts(head, settings, measured), *_slit_contacts(head, settings)]
+    acting += _deep_contacts(head, settings, measured, bodies.result())
+    acting += _slit_contacts(head, settings)
     return Problem(
         mesh,
         tissue(head, settings, measured),
@@ -585,11 +591,11 @@ def _springs(head: Head, measured: Head | None) -> Iterator[Springs]:
 
 
 def _deep_contacts(
-    head: Head, settings: FaceSettings, measured: Head | None
+    head: Head, settings: FaceSettings, measured: Head | None, bodies: Mapping[str, DistanceGrid]
 ) -> Iterator[RigidContact]:
     """Put the inner surface against every deep structure that it may reach."""
     shape = (measured or head).tissue
-    for name, grid in _bodies(head).items():
+    for name, grid in bodies.items():
         elements, xi, areas = _inside(head, ON_EYE if name == "eyeball" else None)
         points = shape.evaluate(elements, xi)
         surface = MirroredDistance(grid, head.midplane)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import warnings
 import weakref
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,6 +33,9 @@ class LinearSolver(Protocol):
     """
 
     negative_pivots: int | None
+
+    def expect(self, upper: sp.csr_matrix) -> None:
+        """Prepare for matrices of a structure, beside what goes on meanwhile."""
 
     def factorise(self, upper: sp.csr_matrix) -> None:
         """Factorise a symmetric matrix from its upper triangle."""
@@ -80,6 +84,7 @@ class Pardiso:
         self._pointers: tuple[Any, Any] | None = None
         self._values: Array | None = None
         self._finalizer: weakref.finalize[..., Pardiso] | None = None
+        self._expected: Future[None] | None = None
         self.negative_pivots = None
 
     def _call(self, phase: int, values: Array, right: Array | None = None) -> Array:
@@ -123,12 +128,30 @@ class Pardiso:
         """Entries of the last factor and the operations that it took in 1e9."""
         return int(self._pardiso.get_iparm(18)), self._pardiso.get_iparm(19) / 1e3
 
+    def expect(self, upper: sp.csr_matrix) -> None:
+        """Begin to analyse a matrix, of which only the structure and zeros on the diagonal count.
+
+        Another thread does, and `factorise` waits for it.
+        """
+        if self._expected is None and not self._knows(upper):
+            pool = ThreadPoolExecutor(1)
+            self._expected = pool.submit(self._take, upper)
+            pool.shutdown(wait=False)
+
+    def _take(self, upper: sp.csr_matrix) -> None:
+        """Analyse the structure of a matrix."""
+        values = np.ascontiguousarray(upper.data, dtype=self._type)
+        self._analyse(upper, values, self._order(upper))
+        self._structure = (upper.indptr, upper.indices)
+
     def factorise(self, upper: sp.csr_matrix) -> None:
         """Factorise a symmetric matrix from its upper triangle (with a full diagonal)."""
-        values = np.ascontiguousarray(upper.data, dtype=self._type)
+        if self._expected is not None:
+            self._expected.result()
+            self._expected = None
         if not self._knows(upper):
-            self._analyse(upper, values, self._order(upper))
-            self._structure = (upper.indptr, upper.indices)
+            self._take(upper)
+        values = np.ascontiguousarray(upper.data, dtype=self._type)
         self._values = values
         self._call(22, values)
         self.negative_pivots = int(self._pardiso.get_iparm(23))
@@ -203,6 +226,9 @@ class SuperLU:
     def __init__(self) -> None:
         self._factors: Any = None
         self.negative_pivots = None
+
+    def expect(self, upper: sp.csr_matrix) -> None:
+        """Prepare nothing."""
 
     def factorise(self, upper: sp.csr_matrix) -> None:
         """Factorise a symmetric matrix from its upper triangle."""
