@@ -53,12 +53,14 @@ def test_a_path_by_its_length_meets_that_by_the_load(face, contracted):
     assert back[-1][1].activations["strap"] < 0.2
 
 
-def test_a_path_leads_through_activations_and_forces(face):
+def test_a_path_leads_through_activations_and_forces(face, contracted):
     load = replace(face.half.load({"strap": 0.1}), jaw=0.1)
     with pytest.raises(InputError, match="keep what is held"):
         next(trace(face.half, load))
     with pytest.raises(InputError, match="ropes"):
         next(trace(face.half, Load(forces={"ropes": 1.0})))
+    with pytest.raises(InputError, match="changes nothing"):
+        next(trace(face.half, contracted.load, contracted))
 
 
 def test_one_side_can_begin_at_a_state_of_both(face, contracted):

@@ -89,7 +89,10 @@ def trace(
     stride = Stride() if stride is None else stride
     state = problem.rest() if state is None else state
     start = state.load
-    if load.jaw != start.jaw or load.prescribed is not start.prescribed:
+    if start.offsets and not load.offsets:
+        # Contacts stay pressed apart as they are.
+        load = replace(load, offsets=start.offsets)
+    if not replace(load, activations=start.activations, forces=start.forces).drives_like(start):
         raise InputError("load: a path leads through activations and forces; keep what is held")
     problem.check_load(load)
     path = _Path(problem, start, load, best_solver(single=False) if solver is None else solver)
