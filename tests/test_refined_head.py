@@ -61,9 +61,10 @@ def test_points_of_no_rule_stay(block_head):
         "ligament", np.array([0, 2, 2]), rng.random((3, 3)), np.array([1.0, 2.0, 3.0])
     )
     head = replace(block_head, attachments={"ligament": item})
-    there = refined(head, (2, 2, 1)).attachments["ligament"]
+    finer = refined(head, (2, 2, 1))
+    there = finer.attachments["ligament"]
     before = head.tissue.evaluate(item.elements, item.xi)
-    after = refined(head, (2, 2, 1)).tissue.evaluate(there.elements, there.xi)
+    after = finer.tissue.evaluate(there.elements, there.xi)
     assert np.allclose(after, before, atol=1e-12)
     assert np.array_equal(there.stiffness, item.stiffness)
 
@@ -120,7 +121,10 @@ def test_a_field_has_the_same_energies(block_head, counts):
         load = problem.load({"strap": 0.3})
         found.append(problem.evaluate(parameters, problem.rest().pressure, load).energies)
     for name in ("attachments", "insertions", "fibres", "smas"):
-        assert found[1].get(name, 0.0) == pytest.approx(found[0].get(name, 0.0), rel=0.02)
+        # Springs to bone grow with the square of the way: divided cells sum it by another rule.
+        divided = name == "attachments" and counts[:2] != (1, 1)
+        rel = 6e-3 if divided else 1e-3
+        assert found[1].get(name, 0.0) == pytest.approx(found[0].get(name, 0.0), rel=rel)
     # The skin is half as thick as its layer of Gauss points.
     assert found[1]["tissue"] == pytest.approx(found[0]["tissue"], rel=0.02)
 

@@ -95,10 +95,12 @@ def _spread(item: Attachment, counts: Sequence[int]) -> Attachment:
     Points that are of no such rule stay as they are.
     """
     parts = tuple(counts[:2])
+    if parts == (1, 1):
+        return item
     for order in range(1, 5):
         ticks, widths = (values.ravel() for values in gauss(1, order))
         place = np.abs(item.xi[:, :2, None] - ticks).argmin(axis=2)
-        if parts == (1, 1) or not np.allclose(ticks[place], item.xi[:, :2], atol=1e-9):
+        if not np.allclose(ticks[place], item.xi[:, :2], atol=1e-9):
             continue
         steps = [(np.arange(n) + 0.5) / n for n in parts]
         within = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
